@@ -1,0 +1,181 @@
+//! `dataset stats`, `dataset verify` and `dataset export`.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use clap::ValueEnum;
+use risorius_console::{Console, Failure};
+use risorius_formats::pose_report::json_error;
+use risorius_formats::{ErrorKind, FormatError};
+
+use crate::export::{self, Target};
+use crate::{Report, plot, verify};
+
+/// Show how a dataset was chosen and how even its AU intensities are.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  dataset stats datasets/ada --plot ada.svg")]
+pub(super) struct StatsArgs {
+    /// Folder of a dataset made by `dataset build`
+    dataset: PathBuf,
+    /// Also draw the intensities before and after
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
+}
+
+/// Open a dataset as a stranger would and list every problem.
+///
+/// Plain Nerfies, HyperNeRF and CoNeRF folders can be checked, too. Exit status 1 if there is any problem.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  dataset verify datasets/ada")]
+pub(super) struct VerifyArgs {
+    /// Folder of the dataset
+    dataset: PathBuf,
+}
+
+/// Write a dataset in another layout.
+///
+/// nerfies: without our additions. Nerfies and HyperNeRF open it as it is; the released CoNeRF and CoNFies loaders also
+/// want rgb/<s>x/<id>_depth.npy, which no video holds and which is not made up here.
+/// transforms: transforms.json with OpenGL axes and pictures, for nerfstudio and instant-ngp.
+/// parquet: a table with a row per frame.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example:\n  dataset export datasets/ada --to transforms --out exports/ada",
+    verbatim_doc_comment
+)]
+pub(super) struct ExportArgs {
+    /// Folder of the dataset
+    dataset: PathBuf,
+    /// The layout
+    #[arg(long, value_enum)]
+    to: Layout,
+    /// Where it goes; an older folder there is replaced
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Layout {
+    Nerfies,
+    Transforms,
+    Parquet,
+}
+
+pub(super) fn stats(args: &StatsArgs, console: &Console) -> Result<(), Failure> {
+    let path = args.dataset.join("report").join("stats.json");
+    let report = read_report(&args.dataset, &path)?;
+    if let Some(path) = &args.plot {
+        plot::write_svg(path, &report)?;
+    }
+    console.finish(&report, &table(&report));
+    Ok(())
+}
+
+fn read_report(dataset: &Path, path: &Path) -> Result<Report, FormatError> {
+    if !dataset.is_dir() {
+        let message = if dataset.exists() { "is not a folder" } else { "does not exist" };
+        return Err(FormatError::new(ErrorKind::Missing, message)
+            .in_file(dataset)
+            .with_hint("name the folder of a dataset"));
+    }
+    let bytes = std::fs::read(path).map_err(|e| {
+        FormatError::io(path, "read", &e)
+            .with_hint("only datasets made by `dataset build` have these numbers; try `dataset verify`")
+    })?;
+    serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(path))
+}
+
+fn table(report: &Report) -> String {
+    let mut text = String::new();
+    for take in &report.takes {
+        let c = take.counts;
+        let _ = writeln!(
+            text,
+            "take {}: {} frames at {:.2} per second; {} valid, {} lost, {} unsure, {} incomplete; {} posed",
+            take.name, c.frames, take.fps, c.valid, c.lost, c.low_confidence, c.incomplete, take.posed
+        );
+    }
+    let _ = writeln!(
+        text,
+        "{} usable frames, {} chosen, {} of them without masks",
+        report.candidates, report.chosen, report.chosen_without_masks
+    );
+    for (name, e) in
+        [("before", report.evenness_before), ("uniform", report.evenness_uniform), ("chosen", report.evenness_after)]
+    {
+        let _ = writeln!(
+            text,
+            "{name:>8}: variation {:.3}, entropy {:.3}, {} empty blocks",
+            e.coefficient_of_variation, e.entropy, e.empty_blocks
+        );
+    }
+    let _ = writeln!(
+        text,
+        "\n{:<5} {:<22} {:<6} {:>5} {:>5} {:>7}  chosen per intensity",
+        "AU", "name", "region", "min", "max", "neutral"
+    );
+    for a in &report.attributes {
+        let counts: Vec<String> = a.histogram_after.iter().map(|c| format!("{c:>4}")).collect();
+        let state = if a.active { "" } else { "  inactive" };
+        let _ = writeln!(
+            text,
+            "{:<5} {:<22} {:<6} {:>5.2} {:>5.2} {:>7.2}  {}{state}",
+            a.unit.to_string(),
+            a.name,
+            a.region,
+            a.au_min,
+            a.au_max,
+            a.neutral,
+            counts.join(" ")
+        );
+    }
+    text.truncate(text.trim_end().len());
+    text
+}
+
+pub(super) fn verify(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
+    let verdict = verify::verify(&args.dataset, console);
+    let mut text = String::new();
+    for problem in &verdict.problems {
+        let _ = writeln!(text, "{}: {}", problem.path.display(), problem.message);
+    }
+    if verdict.problems.is_empty() {
+        let scales: Vec<String> = verdict.scales.iter().map(|s| format!("{s}x")).collect();
+        let _ = write!(
+            text,
+            "{}: {} frames at {}, {} pictures opened: no problems",
+            args.dataset.display(),
+            verdict.frames,
+            scales.join(", "),
+            verdict.pictures
+        );
+        console.finish(&verdict, &text);
+        return Ok(());
+    }
+    if !console.is_json() {
+        console.finish(&verdict, text.trim_end());
+    }
+    let count = verdict.problems.len();
+    let first = &verdict.problems[0];
+    let message = format!("{}: {count} problem{}", args.dataset.display(), if count == 1 { "" } else { "s" });
+    let hint = format!("the first is {}: {}", first.path.display(), first.message);
+    if console.is_json() {
+        console.finish(&verdict, "");
+        return Err(Failure::input(message));
+    }
+    Err(Failure::input(message).with_hint(hint))
+}
+
+pub(super) fn export(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
+    let target = match args.to {
+        Layout::Nerfies => Target::Nerfies,
+        Layout::Transforms => Target::Transforms,
+        Layout::Parquet => Target::Parquet,
+    };
+    let done = export::export(&args.dataset, target, &args.out, console)?;
+    if matches!(args.to, Layout::Nerfies) {
+        console.say("note: the released CoNeRF and CoNFies loaders also want rgb/<s>x/<id>_depth.npy; a video has no depth, so none is written");
+    }
+    console.finish(&done, &format!("{}: {} frames in {} files", args.out.display(), done.frames, done.files));
+    Ok(())
+}

@@ -1,0 +1,46 @@
+//! The `dataset` command: options in, documents out.
+
+mod build;
+mod look;
+
+use clap::{Parser, Subcommand};
+use risorius_console::{Common, CommonArgs, Console, Failure};
+
+/// Tracked takes to a balanced, packaged dataset.
+#[derive(Debug, Parser)]
+#[command(
+    name = "dataset",
+    version,
+    about,
+    after_help = "Example:\n  dataset build takes/ada --balance --frames 750 --scale 4 --out datasets/ada"
+)]
+pub struct Args {
+    #[command(flatten)]
+    common: CommonArgs,
+    #[command(subcommand)]
+    command: Command,
+}
+
+impl Common for Args {
+    fn common(&self) -> &CommonArgs {
+        &self.common
+    }
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Build(build::Args),
+    Stats(look::StatsArgs),
+    Verify(look::VerifyArgs),
+    Export(look::ExportArgs),
+}
+
+/// Runs the command that was asked for.
+pub fn run(args: &Args, console: &Console) -> Result<(), Failure> {
+    match &args.command {
+        Command::Build(args) => build::run(args, console),
+        Command::Stats(args) => look::stats(args, console),
+        Command::Verify(args) => look::verify(args, console),
+        Command::Export(args) => look::export(args, console),
+    }
+}

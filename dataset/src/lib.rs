@@ -1,0 +1,33 @@
+//! From tracked and posed takes to a balanced, packaged dataset.
+//!
+//! [`build`] smooths the AU signals of a take ([`smooth`]), normalises them, chooses frames so that every AU appears at
+//! every intensity about equally often ([`balance`]), outlines the face regions ([`regions`]), and packages pictures,
+//! cameras and annotations as the Nerfies family of loaders expects them, with a report of what was done ([`stats`]).
+//! [`verify`] reads a dataset as a stranger would and lists every problem; [`export`] writes other layouts.
+//!
+//! Which scales are written: the one that fitting uses (`--scale`, 4) and everything coarser, up to 8. A loader of the
+//! family reads `rgb/<s>x` for the one scale it is set to; 1x is large and rarely wanted, so it is written on request.
+
+pub mod align;
+pub mod balance;
+pub mod cli;
+pub mod error;
+pub mod export;
+pub mod neutral;
+pub mod plot;
+pub mod raster;
+pub mod regions;
+pub mod scale;
+pub mod scene;
+pub mod sheet;
+pub mod signals;
+pub mod smooth;
+pub mod stats;
+pub mod verify;
+
+mod build;
+mod package;
+
+pub use build::{BuildOptions, SCALES, Sampling, TAKE_OFFSET, VAL_FIRST, VAL_INTERVAL, build};
+pub use error::{DatasetError, Result};
+pub use stats::Report;

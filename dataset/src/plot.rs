@@ -1,0 +1,108 @@
+//! The plot of AU intensities before and after the choice, as SVG.
+
+use std::path::Path;
+
+use plotters::prelude::*;
+use risorius_formats::atomic;
+
+use crate::error::{DatasetError, Result};
+use crate::raster;
+use crate::stats::{AttributeReport, Report};
+
+/// One panel per AU.
+const COLUMNS: usize = 6;
+const PANEL: (u32, u32) = (210, 170);
+const HEADER: u32 = 64;
+
+/// Writes the plot, whole or not at all.
+pub fn write_svg(path: &Path, report: &Report) -> Result<()> {
+    let text = svg(report).map_err(|e| DatasetError::Encode { path: path.to_owned(), message: e })?;
+    Ok(atomic::write_file(path, text.as_bytes())?)
+}
+
+/// The share of frames per intensity level, one panel per AU: grey before, evenly over time as a line, coloured after.
+fn svg(report: &Report) -> Result<String, String> {
+    let rows = report.attributes.len().div_ceil(COLUMNS).max(1);
+    let size = (PANEL.0 * COLUMNS as u32, HEADER + PANEL.1 * rows as u32);
+    let mut text = String::new();
+    {
+        let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
+        root.fill(&WHITE).map_err(|e| e.to_string())?;
+        let (head, body) = root.split_vertically(HEADER);
+        header(&head, report)?;
+        let regions: Vec<&str> = report.attributes.iter().fold(Vec::new(), |mut names, a| {
+            if !names.contains(&a.region.as_str()) {
+                names.push(&a.region);
+            }
+            names
+        });
+        for (area, attribute) in body.split_evenly((rows, COLUMNS)).iter().zip(&report.attributes) {
+            let region = regions.iter().position(|r| *r == attribute.region).unwrap_or(0);
+            panel(area, attribute, region)?;
+        }
+        root.present().map_err(|e| e.to_string())?;
+    }
+    Ok(text)
+}
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+
+fn header(area: &Area<'_>, report: &Report) -> Result<(), String> {
+    let title = format!(
+        "AU intensities: {} of {} frames; variation of block sizes {:.2} before, {:.2} evenly over time, {:.2} now",
+        report.chosen,
+        report.candidates,
+        report.evenness_before.coefficient_of_variation,
+        report.evenness_uniform.coefficient_of_variation,
+        report.evenness_after.coefficient_of_variation,
+    );
+    let draw = |text: &str, place: (i32, i32), size: i32| {
+        area.draw(&Text::new(text.to_owned(), place, ("sans-serif", size).into_font())).map_err(|e| e.to_string())
+    };
+    draw(&title, (12, 12), 18)?;
+    draw(
+        "share of frames (%) per intensity 0–5: grey bars all usable frames, coloured bars chosen, line evenly over time",
+        (12, 38),
+        14,
+    )
+}
+
+fn panel(area: &Area<'_>, attribute: &AttributeReport, region: usize) -> Result<(), String> {
+    let levels = attribute.histogram_before.len();
+    let shares = |histogram: &[usize]| -> Vec<f64> {
+        let total = histogram.iter().sum::<usize>().max(1) as f64;
+        histogram.iter().map(|&c| 100.0 * c as f64 / total).collect()
+    };
+    let [before, uniform, after] =
+        [&attribute.histogram_before, &attribute.histogram_uniform, &attribute.histogram_after].map(|h| shares(h));
+    let top = [&before, &uniform, &after].into_iter().flatten().fold(1.0f64, |m, &v| m.max(v)) * 1.05;
+    let state = if attribute.active { "" } else { " (inactive)" };
+    let step = 5.0 / (levels.max(2) - 1) as f64;
+    let mut chart = ChartBuilder::on(area)
+        .caption(format!("{} {}{state}", attribute.unit, attribute.name), ("sans-serif", 13))
+        .margin(6)
+        .x_label_area_size(20)
+        .y_label_area_size(32)
+        .build_cartesian_2d(-0.5 * step..5.0 + 0.5 * step, 0.0..top)
+        .map_err(|e| e.to_string())?;
+    let mut mesh = chart.configure_mesh();
+    mesh.disable_x_mesh()
+        .x_labels(6)
+        .y_labels(5)
+        .x_label_formatter(&|v| format!("{v:.0}"))
+        .y_label_formatter(&|v| format!("{v:.0}"));
+    mesh.light_line_style(TRANSPARENT).draw().map_err(|e| e.to_string())?;
+    let [r, g, b] = raster::region_colour(region as u8 + 1);
+    let bars = |values: &[f64], from: f64, to: f64, colour: RGBColor| -> Vec<Rectangle<(f64, f64)>> {
+        let bar = |(level, &v): (usize, &f64)| {
+            let x = level as f64 * step;
+            Rectangle::new([(x + from * step, 0.0), (x + to * step, v)], colour.filled())
+        };
+        values.iter().enumerate().map(bar).collect()
+    };
+    chart.draw_series(bars(&before, -0.4, 0.0, RGBColor(190, 190, 190))).map_err(|e| e.to_string())?;
+    chart.draw_series(bars(&after, 0.0, 0.4, RGBColor(r, g, b))).map_err(|e| e.to_string())?;
+    let line = LineSeries::new(uniform.iter().enumerate().map(|(l, &v)| (l as f64 * step, v)), RGBColor(90, 90, 90));
+    chart.draw_series(line).map_err(|e| e.to_string())?;
+    Ok(())
+}

@@ -1,0 +1,121 @@
+//! Convex hulls, the pixels they cover, and tints over pictures.
+
+use glam::DVec3;
+use image::RgbImage;
+use risorius_formats::Camera;
+use risorius_formats::mask::LabelImage;
+use risorius_formats::nerfies::fill_polygon;
+
+/// The convex hull of `points` (Andrew's monotone chain), without points on its sides; fewer than three distinct
+/// points come back as they are, sorted.
+pub fn convex_hull(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    let mut sorted: Vec<_> = points.iter().copied().filter(|p| p.iter().all(|v| v.is_finite())).collect();
+    sorted.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+    sorted.dedup();
+    if sorted.len() < 3 {
+        return sorted;
+    }
+    let turn = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+    let chain = |points: &mut dyn Iterator<Item = [f64; 2]>| {
+        let mut chain: Vec<[f64; 2]> = Vec::new();
+        for p in points {
+            while chain.len() >= 2 && turn(chain[chain.len() - 2], chain[chain.len() - 1], p) <= 0.0 {
+                chain.pop();
+            }
+            chain.push(p);
+        }
+        chain.pop();
+        chain
+    };
+    let mut hull = chain(&mut sorted.iter().copied());
+    hull.extend(chain(&mut sorted.iter().rev().copied()));
+    hull
+}
+
+/// The pixels that see the convex hull of `points_in_world`: 255 inside, 0 outside.
+///
+/// The hull of the projected corners is the projection of the hull as long as all corners lie in front of a camera
+/// without distortion; corners behind it are left out.
+pub fn hull_mask(points_in_world: &[DVec3], camera: &Camera) -> LabelImage {
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    let in_front = points_in_world.iter().filter(|&&p| camera.camera_from_world.transform_point(p).z > 1e-6);
+    let pixels: Vec<_> = in_front.map(|&p| camera.project(p).to_array()).collect();
+    let mut mask = LabelImage::new(width, height);
+    fill_polygon(&convex_hull(&pixels), width, height, |row, columns| {
+        let start = row as usize * width as usize;
+        mask.labels[start + columns.start as usize..start + columns.end as usize].fill(255);
+    });
+    mask
+}
+
+/// The colours of regions 1, 2, 3, … in pictures for people; they repeat.
+pub const REGION_COLOURS: [[u8; 3]; 6] =
+    [[230, 159, 0], [86, 180, 233], [0, 158, 115], [204, 121, 167], [213, 94, 0], [240, 228, 66]];
+
+/// The colour of a label above 0.
+pub fn region_colour(label: u8) -> [u8; 3] {
+    REGION_COLOURS[usize::from(label.saturating_sub(1)) % REGION_COLOURS.len()]
+}
+
+/// Tints each labelled pixel with its region's colour, `strength` in 256ths. Sizes must agree; else nothing happens.
+pub fn tint(image: &mut RgbImage, labels: &LabelImage, strength: u16) {
+    if (image.width(), image.height()) != (labels.width, labels.height) {
+        return;
+    }
+    for (pixel, &label) in image.pixels_mut().zip(&labels.labels) {
+        if label > 0 {
+            for (v, c) in pixel.0.iter_mut().zip(region_colour(label)) {
+                *v = ((u16::from(*v) * (256 - strength.min(256)) + u16::from(c) * strength.min(256)) >> 8) as u8;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use risorius_formats::{Intrinsics, Isometry};
+
+    #[test]
+    fn a_ball_projects_to_a_disc() {
+        let camera = Camera {
+            intrinsics: Intrinsics::pinhole(200, 100, 100.0),
+            camera_from_world: Isometry::new(glam::DMat3::IDENTITY, DVec3::new(0.0, 0.0, 5.0)),
+        };
+        let points: Vec<_> = (0..400)
+            .map(|i| {
+                let (z, a) = (1.0 - (2 * i + 1) as f64 / 400.0, i as f64 * 2.399_963);
+                DVec3::new((1.0 - z * z).sqrt() * a.cos(), (1.0 - z * z).sqrt() * a.sin(), z)
+            })
+            .collect();
+        let mask = hull_mask(&points, &camera);
+        // The silhouette of a unit ball at distance 5: tan = 1/√24, radius 20.41 pixels.
+        let area = mask.labels.iter().filter(|&&l| l == 255).count() as f64;
+        let expected = std::f64::consts::PI * 100.0 * 100.0 / 24.0;
+        assert!((area / expected - 1.0).abs() < 0.04, "{area} of {expected}");
+        assert_eq!((mask.get(100, 50), mask.get(125, 50)), (255, 0));
+    }
+
+    #[test]
+    fn tinting_leaves_label_0_alone() {
+        let mut image = RgbImage::from_pixel(2, 1, image::Rgb([100, 100, 100]));
+        let labels = LabelImage { width: 2, height: 1, labels: vec![0, 1] };
+        tint(&mut image, &labels, 128);
+        assert_eq!((image.get_pixel(0, 0).0, image.get_pixel(1, 0).0), ([100; 3], [165, 129, 50]));
+    }
+
+    proptest! {
+        #[test]
+        fn hulls_hold_all_points_and_turn_one_way(points in prop::collection::vec(prop::array::uniform2(-50f64..50.0), 3..40)) {
+            let hull = convex_hull(&points);
+            prop_assume!(hull.len() >= 3);
+            for i in 0..hull.len() {
+                let (a, b) = (hull[i], hull[(i + 1) % hull.len()]);
+                for p in &points {
+                    prop_assert!((b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]) > -1e-9);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,33 @@
+//! Where the scene is and how it is scaled for fitting.
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+/// `scene_point = (world_point − center) · scale`; near and far are distances along a ray in scene units.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SceneBounds {
+    /// The scene's origin in world units.
+    pub center_in_world: DVec3,
+    /// Scene units per world unit.
+    pub scale: f64,
+    /// Nearest distance worth sampling, scene units.
+    pub near: f64,
+    /// Farthest distance worth sampling, scene units.
+    pub far: f64,
+}
+
+impl SceneBounds {
+    /// A point of the world in scene units.
+    pub fn scene_from_world(&self, point_in_world: DVec3) -> DVec3 {
+        (point_in_world - self.center_in_world) * self.scale
+    }
+
+    /// Whether all numbers are finite and 0 < near < far.
+    pub fn is_valid(&self) -> bool {
+        self.center_in_world.is_finite()
+            && [self.scale, self.near, self.far].iter().all(|v| v.is_finite())
+            && self.scale > 0.0
+            && self.near > 0.0
+            && self.far > self.near
+    }
+}

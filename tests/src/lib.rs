@@ -1,0 +1,61 @@
+//! Shared by the end-to-end tests: where the binaries and the development data are.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// The built binary `name`; tests of the whole chain run what users run.
+///
+/// Cargo builds the workspace's binaries next to this test's own executable (`target/<profile>/`).
+#[must_use]
+pub fn binary(name: &str) -> PathBuf {
+    let mut dir = std::env::current_exe().unwrap_or_default();
+    dir.pop();
+    if dir.ends_with("deps") {
+        dir.pop();
+    }
+    dir.join(name)
+}
+
+/// Runs a binary and panics with its output unless it succeeds.
+///
+/// # Panics
+/// When the binary is missing or fails.
+pub fn succeed(name: &str, args: &[&str]) -> String {
+    let output = run(name, args);
+    assert!(
+        output.status.success(),
+        "`{name} {}` failed\n{}{}",
+        args.join(" "),
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    );
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+/// Runs a binary.
+///
+/// # Panics
+/// When it cannot be started.
+pub fn run(name: &str, args: &[&str]) -> Output {
+    let path = binary(name);
+    match Command::new(&path).args(args).output() {
+        Ok(output) => output,
+        Err(e) => panic!("{} cannot be started: {e}; build it with `cargo build --release --workspace`", path.display()),
+    }
+}
+
+/// A file of the development data beside the repository, or `None` with a loud word about it.
+#[must_use]
+pub fn shared(path: &str) -> Option<PathBuf> {
+    let base = std::env::var_os("RISORIUS_SHARED")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
+    let found = base.join(path);
+    if found.exists() {
+        return Some(found);
+    }
+    #[expect(clippy::print_stderr, reason = "a test that is skipped has to say so")]
+    {
+        eprintln!("SKIPPED: the development data `{path}` is not there (RISORIUS_SHARED names its folder)");
+    }
+    None
+}

@@ -1,0 +1,175 @@
+//! Frames in, from a video file or an image folder.
+
+use std::path::Path;
+
+use image::RgbImage;
+use risorius_formats::FormatError;
+
+use crate::images::ImageFolder;
+use crate::video::VideoFile;
+use crate::{DEFAULT_IMAGE_FPS, VideoError};
+
+/// What is known of a video before its frames are read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VideoInfo {
+    /// Upright width, pixels.
+    pub width: u32,
+    /// Upright height, pixels.
+    pub height: u32,
+    /// Clockwise rotation that the container asks for and that is applied: 0, 90, 180 or 270 degrees.
+    pub rotation_degrees: u32,
+    /// Frames per second: what the container states if the times agree, else their mean; 30 for image folders.
+    pub fps: f64,
+    /// Number of frames: exact for MP4, MOV and image folders, an estimate otherwise.
+    pub frame_count_estimate: Option<u64>,
+}
+
+/// One frame, upright.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Number of the frame, from 0, in the order of presentation.
+    pub index: u32,
+    /// Presentation time since the first frame.
+    pub timestamp_nanos: i64,
+    /// The picture.
+    pub image: RgbImage,
+}
+
+/// A video that ended before its time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Truncation {
+    /// Frames that could be read.
+    pub read: u32,
+    /// Frames that the container announces.
+    pub expected: u64,
+}
+
+/// Reads the frames of a video file or an image folder, one after the other, in constant memory.
+#[derive(Debug)]
+pub struct Reader {
+    source: Source,
+    info: VideoInfo,
+    next: u32,
+}
+
+#[derive(Debug)]
+enum Source {
+    Video(Box<VideoFile>),
+    Images(ImageFolder),
+}
+
+impl Reader {
+    /// Opens a video file or a folder of PNG or JPEG images.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, VideoError> {
+        Self::open_with_fps(path, None)
+    }
+
+    /// The same, with the frame rate of an image folder; a video file keeps its own times.
+    pub fn open_with_fps(path: impl AsRef<Path>, image_fps: Option<f64>) -> Result<Self, VideoError> {
+        let path = path.as_ref();
+        let kind = std::fs::metadata(path).map_err(|e| FormatError::io(path, "open", &e))?;
+        if kind.is_dir() {
+            let images = ImageFolder::open(path)?;
+            let (width, height) = images.size();
+            let frame_count_estimate = Some(images.len() as u64);
+            let fps = image_fps.filter(|f| f.is_finite() && *f > 0.0).unwrap_or(DEFAULT_IMAGE_FPS);
+            let info = VideoInfo { width, height, rotation_degrees: 0, fps, frame_count_estimate };
+            return Ok(Self { source: Source::Images(images), info, next: 0 });
+        }
+        if !kind.is_file() {
+            return Err(VideoError::NotAFile { path: path.to_owned() });
+        }
+        let video = VideoFile::open(path)?;
+        let (width, height) = video.size();
+        let info = VideoInfo {
+            width,
+            height,
+            rotation_degrees: video.rotation_degrees(),
+            fps: video.fps(),
+            frame_count_estimate: video.frame_count_estimate(),
+        };
+        Ok(Self { source: Source::Video(Box::new(video)), info, next: 0 })
+    }
+
+    /// What is known of the video.
+    pub fn info(&self) -> &VideoInfo {
+        &self.info
+    }
+
+    /// Whether this is an image folder.
+    pub fn is_image_folder(&self) -> bool {
+        matches!(self.source, Source::Images(_))
+    }
+
+    /// The image files, in the order they are read; empty for a video file.
+    pub fn image_files(&self) -> &[std::path::PathBuf] {
+        match &self.source {
+            Source::Images(images) => images.files(),
+            Source::Video(_) => &[],
+        }
+    }
+
+    /// The next frame, upright; `None` after the last one.
+    pub fn next_frame(&mut self) -> Result<Option<Frame>, VideoError> {
+        let (timestamp_nanos, image) = match &mut self.source {
+            Source::Video(video) => match video.grab() {
+                Some(nanos) => (nanos, video.retrieve()?),
+                None => return Ok(None),
+            },
+            Source::Images(images) => match images.next_image()? {
+                Some(image) => ((f64::from(self.next) * 1e9 / self.info.fps).round() as i64, image),
+                None => return Ok(None),
+            },
+        };
+        let index = self.next;
+        self.next += 1;
+        Ok(Some(Frame { index, timestamp_nanos, image }))
+    }
+
+    /// Passes over a frame without converting its pixels; false after the last one.
+    pub fn skip_frame(&mut self) -> Result<bool, VideoError> {
+        let there = match &mut self.source {
+            Source::Video(video) => video.grab().is_some(),
+            Source::Images(images) => images.skip(),
+        };
+        self.next += u32::from(there);
+        Ok(there)
+    }
+
+    /// Once the end was reached: whether the file was cut off before it.
+    pub fn truncation(&self) -> Option<Truncation> {
+        match &self.source {
+            Source::Video(video) => video.truncation(),
+            Source::Images(_) => None,
+        }
+    }
+}
+
+/// Calls `each(index, image)` for the wanted frames, in ascending order, once for each.
+///
+/// The frames between are decoded, as they have to be, but not converted; nothing after the last wanted frame is read.
+pub fn read_frames<E: From<VideoError>>(
+    path: impl AsRef<Path>,
+    indices: &[u32],
+    mut each: impl FnMut(u32, RgbImage) -> Result<(), E>,
+) -> Result<(), E> {
+    let path = path.as_ref();
+    let mut wanted = indices.to_vec();
+    wanted.sort_unstable();
+    wanted.dedup();
+    if wanted.is_empty() {
+        return Ok(());
+    }
+    let mut reader = Reader::open(path)?;
+    let missing = |index, count| VideoError::FrameMissing { path: path.to_owned(), index, count };
+    for index in wanted {
+        while reader.next < index {
+            if !reader.skip_frame()? {
+                return Err(missing(index, reader.next).into());
+            }
+        }
+        let frame = reader.next_frame()?.ok_or_else(|| missing(index, reader.next))?;
+        each(index, frame.image)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,159 @@
+//! Times, rotation and damage, compared with what the `ffmpeg` and `ffprobe` programs say. Skipped where they are absent.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use risorius_video::Reader;
+
+fn has_ffmpeg() -> bool {
+    let found = ["ffmpeg", "ffprobe"].iter().all(|p| Command::new(p).arg("-version").output().is_ok_and(|o| o.status.success()));
+    if !found {
+        eprintln!("SKIPPED: `ffmpeg` and `ffprobe` not found");
+    }
+    found
+}
+
+fn ffmpeg(args: &str, out: &Path) {
+    let output = Command::new("ffmpeg").args(["-v", "error", "-y"]).args(args.split_whitespace()).arg(out).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// Seconds since the first frame, by ffprobe.
+fn true_times(path: &Path) -> Vec<f64> {
+    let args = ["-v", "error", "-select_streams", "v:0", "-show_entries", "frame=best_effort_timestamp_time", "-of", "csv=p=0"];
+    let output = Command::new("ffprobe").args(args).arg(path).output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    let times: Vec<f64> = text.lines().filter_map(|l| l.trim_end_matches(',').parse().ok()).collect();
+    times.iter().map(|t| t - times[0]).collect()
+}
+
+fn our_times(path: &Path) -> Vec<f64> {
+    let mut reader = Reader::open(path).unwrap();
+    let mut times = Vec::new();
+    while let Some(frame) = reader.next_frame().unwrap() {
+        times.push(frame.timestamp_nanos as f64 * 1e-9);
+    }
+    times
+}
+
+fn compare(path: &Path, tolerance_secs: f64) {
+    let (ours, truth) = (our_times(path), true_times(path));
+    assert_eq!(ours.len(), truth.len(), "{}", path.display());
+    for (i, (a, b)) in ours.iter().zip(&truth).enumerate() {
+        assert!((a - b).abs() < tolerance_secs, "{}: frame {i} is at {b} s, not {a} s", path.display());
+    }
+}
+
+#[test]
+fn times_are_those_of_ffprobe() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    let source = "-f lavfi -i testsrc2=size=160x120:rate=60:duration=1.5";
+    // Frames left out make the rate variable; -bf reorders frames; an edit list cuts the start off.
+    let vfr = "-vf select='not(eq(mod(n\\,7)\\,3))*not(between(n\\,40\\,44))' -vsync vfr";
+    ffmpeg(&format!("{source} {vfr} -c:v libx264 -bf 3"), &path("vfr.mp4"));
+    ffmpeg(&format!("{source} {vfr} -c:v libx264 -bf 3 -movflags frag_keyframe+empty_moov -g 20"), &path("fragmented.mp4"));
+    ffmpeg(&format!("{source} {vfr} -c:v libx264 -bf 3 -use_editlist 0"), &path("no_edit.mp4"));
+    ffmpeg(&format!("{source} {vfr} -c:v mpeg4"), &path("part2.mov"));
+    ffmpeg(&format!("{source} -c:v libx264 -bf 2 -g 30"), &path("whole.mp4"));
+    let whole = path("whole.mp4");
+    ffmpeg(&format!("-ss 0.7 -i {} -c copy", whole.display()), &path("trimmed.mp4"));
+    ffmpeg(&format!("{source} -c:v libx264 -bf 2 -frames:v 2"), &path("two.mp4"));
+    ffmpeg(&format!("{source} -c:v libx264 -bf 2 -frames:v 1"), &path("one.mp4"));
+    for name in ["vfr.mp4", "fragmented.mp4", "no_edit.mp4", "part2.mov", "whole.mp4", "trimmed.mp4", "two.mp4", "one.mp4"] {
+        compare(&path(name), 1e-6);
+    }
+    // No index is read here: OpenCV's times, the last two continued by the last interval.
+    ffmpeg(&format!("{source} -c:v libx264 -bf 2"), &path("matroska.mkv"));
+    compare(&path("matroska.mkv"), 2e-3);
+}
+
+#[test]
+fn real_files_have_the_times_of_ffprobe() {
+    let shared = std::env::var_os("RISORIUS_SHARED").map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), PathBuf::from);
+    let folder = shared.join("data/video");
+    let Ok(entries) = std::fs::read_dir(&folder) else {
+        eprintln!("SKIPPED: {} not found", folder.display());
+        return;
+    };
+    if !has_ffmpeg() {
+        return;
+    }
+    let mut files: Vec<PathBuf> = entries.map(|e| e.unwrap().path()).filter(|p| p.extension().is_some_and(|e| e == "mp4" || e == "mov")).collect();
+    files.sort();
+    assert!(!files.is_empty());
+    files.iter().for_each(|f| compare(f, 1e-6));
+}
+
+#[test]
+fn turned_and_mirrored_videos_are_shown_as_ffmpeg_does() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let stored = dir.path().join("stored.mp4");
+    ffmpeg("-f lavfi -i testsrc2=size=160x120:rate=30:duration=0.3 -c:v libx264 -crf 12 -pix_fmt yuv420p", &stored);
+    let matrices = [
+        ((1, 0, 0, 1), 0),
+        ((0, 1, -1, 0), 90),
+        ((-1, 0, 0, -1), 180),
+        ((0, -1, 1, 0), 270),
+        ((-1, 0, 0, 1), 0),
+        ((1, 0, 0, -1), 180),
+    ];
+    for (matrix, rotation) in matrices {
+        let turned = dir.path().join("turned.mp4");
+        set_matrix(&stored, &turned, matrix);
+        let shown = dir.path().join("shown.png");
+        ffmpeg(&format!("-i {} -frames:v 1", turned.display()), &shown);
+        let shown = image::open(&shown).unwrap().into_rgb8();
+        let mut reader = Reader::open(&turned).unwrap();
+        let info = reader.info().clone();
+        let first = reader.next_frame().unwrap().unwrap().image;
+        assert_eq!((first.dimensions(), (info.width, info.height), info.rotation_degrees), (shown.dimensions(), shown.dimensions(), rotation));
+        // The second frame takes another path than the first, which is read at opening.
+        let second = reader.next_frame().unwrap().unwrap().image;
+        for (name, image) in [("first", &first), ("second", &second)] {
+            let difference = image.as_raw().iter().zip(shown.as_raw()).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>();
+            let mean = difference / shown.as_raw().len() as f64;
+            assert!(mean < 6.0, "{matrix:?}: the {name} frame differs by {mean} levels");
+        }
+    }
+}
+
+/// Writes the display matrix into a copy of the file, as a phone does.
+fn set_matrix(from: &Path, to: &Path, (a, b, c, d): (i32, i32, i32, i32)) {
+    let mut bytes = std::fs::read(from).unwrap();
+    let tkhd = bytes.windows(4).position(|w| w == b"tkhd").expect("a track header");
+    // A version 0 header: name, version and flags, 5 words, 2 reserved, layer to reserved (2), then the 3×3 matrix.
+    let matrix = tkhd + 4 + 4 + 20 + 8 + 8;
+    for (i, value) in [(0, a), (1, b), (3, c), (4, d)] {
+        bytes[matrix + 4 * i..matrix + 4 * i + 4].copy_from_slice(&(value << 16).to_be_bytes());
+    }
+    std::fs::write(to, bytes).unwrap();
+}
+
+#[test]
+fn a_cut_video_gives_its_frames_up_to_the_damage() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    for (name, options, known) in [("front.mp4", "-movflags +faststart", true), ("cut.mkv", "", false)] {
+        let path = dir.path().join(name);
+        ffmpeg(&format!("-f lavfi -i testsrc2=size=160x120:rate=30:duration=8 -c:v libx264 -g 30 {options}"), &path);
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &bytes[..bytes.len() * 6 / 10]).unwrap();
+        let mut reader = Reader::open(&path).unwrap();
+        let mut count = 0;
+        while reader.next_frame().unwrap().is_some() {
+            count += 1;
+        }
+        let cut = reader.truncation().unwrap_or_else(|| panic!("{name}: nothing is missed after {count} frames"));
+        assert!((90..200).contains(&count) && cut.read == count, "{name}: {cut:?}");
+        assert!(if known { cut.expected == 240 } else { cut.expected.abs_diff(240) < 5 }, "{name}: {cut:?}");
+    }
+}

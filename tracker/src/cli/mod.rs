@@ -1,0 +1,102 @@
+//! The command line of `tracker`: glue only.
+
+mod check;
+mod import;
+mod poses;
+
+use std::path::PathBuf;
+
+use clap::{Parser, Subcommand};
+use risorius_console::{Common, CommonArgs, Console, Failure};
+
+/// Landmarks, action units, head and camera poses of a take.
+#[derive(Parser, Debug)]
+#[command(name = "tracker", version, about, propagate_version = true, after_help = EXAMPLES)]
+pub struct Cli {
+    #[command(flatten)]
+    common: CommonArgs,
+    #[command(subcommand)]
+    command: Command,
+}
+
+const EXAMPLES: &str = "Example:
+  tracker import takes/ada --openface ada.csv
+  tracker poses takes/ada
+  tracker check takes/ada";
+
+impl Common for Cli {
+    fn common(&self) -> &CommonArgs {
+        &self.common
+    }
+}
+
+#[derive(Subcommand, Debug)]
+enum Command {
+    /// Track the face with built-in models (not built yet: use `import`)
+    Run(RunArgs),
+    Import(import::ImportArgs),
+    Poses(poses::PosesArgs),
+    Check(check::CheckArgs),
+}
+
+/// Not built yet.
+#[derive(clap::Args, Debug)]
+#[command(after_help = "This command is not built yet. Track the video with OpenFace and import its table:\n  \
+                        tracker import takes/ada --openface ada.csv")]
+struct RunArgs {
+    /// The take
+    take: PathBuf,
+    /// Folder with the models
+    #[arg(long, value_name = "DIR")]
+    models: Option<PathBuf>,
+    /// Detect the face anew every N frames
+    #[arg(long, value_name = "N")]
+    every: Option<u32>,
+    /// Threads
+    #[arg(long, value_name = "N")]
+    threads: Option<u32>,
+}
+
+/// Runs one command.
+pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
+    match &cli.command {
+        Command::Run(args) => Err(Failure::input(format!("{}: tracking by built-in models is not built yet", args.take.display()))
+            .with_hint("track the video with OpenFace and use `tracker import TAKE --openface FILE.csv`")),
+        Command::Import(args) => import::run(args, console),
+        Command::Poses(args) => poses::run(args, console),
+        Command::Check(args) => check::run(args, console),
+    }
+}
+
+/// `12–15, 20, …`, the longest list that still fits a line.
+fn runs_in_words(runs: &[[u32; 2]]) -> String {
+    let one = |r: &[u32; 2]| if r[0] == r[1] { r[0].to_string() } else { format!("{}–{}", r[0], r[1]) };
+    let mut text = runs.iter().take(8).map(one).collect::<Vec<_>>().join(", ");
+    if runs.len() > 8 {
+        text += ", …";
+    }
+    text
+}
+
+/// The ranges of the AUs as lines of text.
+fn quality_in_words(q: &crate::quality::TrackQuality) -> String {
+    use std::fmt::Write as _;
+    let mut text = format!("frames       {} valid of {}", q.valid_frames, q.frames);
+    if !q.lost_runs.is_empty() {
+        let _ = write!(text, "; lost {}: {}", q.lost_frames, runs_in_words(&q.lost_runs));
+    }
+    if let Some(jitter) = q.landmark_jitter_px {
+        let size = q.outer_eye_distance_px.map_or(String::new(), |d| format!(" (eye distance {d:.0} px)"));
+        let _ = write!(text, "\nlandmarks    noise {jitter:.2} px{size}");
+    }
+    if let Some(jitter) = q.au_jitter {
+        let _ = write!(text, "\nAUs          noise {jitter:.2}");
+    }
+    for u in &q.units {
+        if let (Some(min), Some(median), Some(max)) = (u.min, u.median, u.max) {
+            let still = if u.moves { "" } else { "  never moves" };
+            let _ = write!(text, "\n  {:<11}{min:.2} … {max:.2}, median {median:.2}{still}", u.unit.to_string());
+        }
+    }
+    text
+}

@@ -1,0 +1,216 @@
+//! What can go wrong while tracking and posing, with advice.
+
+use std::borrow::Cow;
+use std::path::PathBuf;
+
+use risorius_formats::{FormatError, Hint};
+use risorius_video::VideoError;
+use thiserror::Error;
+
+/// An error of this crate.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum TrackerError {
+    /// A file of a take, table or model is bad.
+    #[error(transparent)]
+    Format(#[from] FormatError),
+    /// The video cannot be read.
+    #[error(transparent)]
+    Video(#[from] VideoError),
+    /// The user asked to stop.
+    #[error("stopped on request while {doing}")]
+    Cancelled {
+        /// What was going on.
+        doing: String,
+    },
+    /// The table and the take have no frame in common.
+    #[error("{path}: none of its {rows} rows belongs to one of the take's {frames} frames", path = path.display())]
+    NoCommonFrame {
+        /// The table.
+        path: PathBuf,
+        /// Its rows.
+        rows: usize,
+        /// The take's frames.
+        frames: usize,
+    },
+    /// No row passes the gate.
+    #[error("{path}: no frame has `success` = 1 and a confidence of at least {min_confidence}", path = path.display())]
+    NoValidFrame {
+        /// The table.
+        path: PathBuf,
+        /// The gate.
+        min_confidence: f32,
+    },
+    /// A table cannot be encoded.
+    #[error("{path}: cannot encode the table: {message}", path = path.display())]
+    Encode {
+        /// The file to be.
+        path: PathBuf,
+        /// What the encoder said.
+        message: String,
+    },
+    /// The take has no track yet.
+    #[error("{path}: does not exist, and the poses need its landmarks", path = path.display())]
+    NoTrack {
+        /// The missing table.
+        path: PathBuf,
+    },
+    /// The track lacks something a method needs.
+    #[error("{path}: {missing}", path = path.display())]
+    TrackLacks {
+        /// The table.
+        path: PathBuf,
+        /// What it lacks.
+        missing: String,
+        /// What to do about it.
+        hint: &'static str,
+    },
+    /// There is no model where one should be.
+    #[error("{dir}: is not a COLMAP model: found neither `cameras.txt` nor `cameras.bin` in it, in `sparse` or in numbered folders", dir = dir.display())]
+    NoModel {
+        /// The folder that was searched.
+        dir: PathBuf,
+    },
+    /// A model that holds no image of the take.
+    #[error("{dir}: none of its {images} images belongs to one of the take's {frames} frames", dir = dir.display())]
+    NoModelFrame {
+        /// The model.
+        dir: PathBuf,
+        /// Images in the model.
+        images: usize,
+        /// Frames of the take.
+        frames: usize,
+    },
+    /// A model of pictures of another shape.
+    #[error("{dir}: its camera {camera} is {width}×{height} pixels, but the take is {take_width}×{take_height}", dir = dir.display())]
+    CameraSize {
+        /// The model.
+        dir: PathBuf,
+        /// Id of the camera.
+        camera: u32,
+        /// Its width.
+        width: u64,
+        /// Its height.
+        height: u64,
+        /// The take's upright width.
+        take_width: u32,
+        /// The take's upright height.
+        take_height: u32,
+    },
+    /// The program cannot be started.
+    #[error("cannot start `{program}`: {reason}", program = program.display())]
+    ColmapMissing {
+        /// The program.
+        program: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// A step of COLMAP failed.
+    #[error("`colmap {step}` failed ({status}): {last_line}")]
+    ColmapFailed {
+        /// The sub-command.
+        step: String,
+        /// Exit status in words.
+        status: String,
+        /// The last line it wrote.
+        last_line: String,
+        /// The whole output.
+        log: PathBuf,
+    },
+    /// COLMAP took longer than it was allowed to.
+    #[error("COLMAP was stopped after {secs} s, during `{step}`")]
+    ColmapTimeout {
+        /// The sub-command.
+        step: String,
+        /// The limit.
+        secs: u64,
+        /// The whole output.
+        log: PathBuf,
+    },
+    /// COLMAP ended without a model.
+    #[error("COLMAP found no camera poses in {tried} key frames")]
+    ColmapNoModel {
+        /// Key frames.
+        tried: usize,
+        /// The whole output.
+        log: PathBuf,
+    },
+    /// COLMAP placed too few frames.
+    #[error("COLMAP placed only {registered} of {tried} key frames")]
+    FewRegistered {
+        /// Placed.
+        registered: usize,
+        /// Handed over.
+        tried: usize,
+    },
+    /// The landmarks' rays are nearly parallel: no depth.
+    #[error("the cameras hardly move around the face: only {good} of 68 landmarks can be triangulated")]
+    TooLittleParallax {
+        /// Landmarks with a depth.
+        good: usize,
+    },
+    /// There is nothing to compare.
+    #[error("{dir}: has only {common} frames in common with the take's poses, at least 3 are needed", dir = dir.display())]
+    NothingInCommon {
+        /// The reference model.
+        dir: PathBuf,
+        /// Common frames.
+        common: usize,
+    },
+}
+
+impl Hint for TrackerError {
+    fn hint(&self) -> Option<Cow<'_, str>> {
+        let text: Cow<'_, str> = match self {
+            Self::Format(e) => return e.hint(),
+            Self::Video(e) => return e.hint(),
+            Self::Cancelled { .. } => return None,
+            Self::NoCommonFrame { .. } => {
+                "is it the table of another video? `--first-frame N` says which number the first frame has in it".into()
+            }
+            Self::NoValidFrame { .. } => "look at the `confidence` column; `--min-confidence` lowers the gate".into(),
+            Self::Encode { .. } => return None,
+            Self::NoTrack { .. } => "import a table first: `tracker import TAKE --openface FILE.csv`".into(),
+            Self::TrackLacks { hint, .. } => (*hint).into(),
+            Self::NoModel { .. } => "give the folder with cameras, images and points3D as .txt or .bin".into(),
+            Self::NoModelFrame { .. } => {
+                "images are matched by the digits of their names; `--colmap-first 1` if the first frame is number 1".into()
+            }
+            Self::CameraSize { width, height, take_width, take_height, .. } => {
+                let turned = (*width > *height) != (*take_width > *take_height);
+                if turned {
+                    "the model was made from pictures whose rotation was not applied; make it from upright pictures".into()
+                } else {
+                    "cropped pictures cannot be used; make the model from whole frames of this take".into()
+                }
+            }
+            Self::ColmapMissing { .. } => {
+                "install it (`apt install colmap`), name it with `--colmap PATH`, or give a finished model with `--colmap-model DIR`"
+                    .into()
+            }
+            Self::ColmapFailed { log, .. } => format!("the whole output is in {}", log.display()).into(),
+            Self::ColmapTimeout { log, .. } => format!(
+                "allow more with `--time-limit SECS` or ask for fewer `--keyframes`; the output is in {}",
+                log.display()
+            )
+            .into(),
+            Self::ColmapNoModel { log, .. } => format!(
+                "it needs a camera that moves around a still, textured scene; for a still camera use `--method head`; the output is in {}",
+                log.display()
+            )
+            .into(),
+            Self::FewRegistered { .. } => {
+                "try more `--keyframes`, a sharper or better lit take, or `--method head` for a still camera; `--accept-poor` takes what there is"
+                    .into()
+            }
+            Self::TooLittleParallax { .. } => "for a still camera and a moving head use `--method head`".into(),
+            Self::NothingInCommon { .. } => {
+                "frames are matched by the digits of image names; see `--reference-first`".into()
+            }
+        };
+        Some(text)
+    }
+}
+
+/// The result of everything in this crate.
+pub type Result<T, E = TrackerError> = std::result::Result<T, E>;

@@ -1,0 +1,281 @@
+//! Cameras by COLMAP: key frames as pictures, features, comparisons of picture pairs, mapping.
+//!
+//! Only key frames are handed over; what lies between them is interpolated. Everything runs on the CPU. The pairs to be
+//! compared are given as lists, in portions, so that progress and Ctrl-C do not depend on COLMAP's own output.
+
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ImageEncoder, RgbImage, imageops};
+use risorius_formats::{FormatError, FrameIndex, Reporter, Silent, Take, Track, Warning};
+
+use super::child::{Runner, number_after};
+use super::flags::{Flags, Version};
+use super::model::{self, Found};
+use super::{keyframes, mask};
+use crate::error::{Result, TrackerError};
+
+/// Below this share of placed key frames the result is refused.
+pub const MIN_REGISTERED_SHARE: f64 = 0.4;
+/// Pairs per call of the matcher.
+const PAIRS_PER_CALL: usize = 150;
+/// COLMAP's own least number of images of a model.
+const MIN_IMAGES: usize = 3;
+
+/// How COLMAP is run.
+#[derive(Clone, Debug)]
+pub struct ColmapOptions {
+    /// The program.
+    pub program: PathBuf,
+    /// How many key frames; `None` decides by the length of the take.
+    pub keyframes: Option<usize>,
+    /// COLMAP's camera model for the one camera of the take.
+    pub camera_model: String,
+    /// Features per key frame.
+    pub max_features: u32,
+    /// Key frames are reduced until their longer side is at most this, pixels.
+    pub max_side: u32,
+    /// Whether features on the face are left out.
+    pub mask_face: bool,
+    /// How long COLMAP may take.
+    pub time_limit: Option<Duration>,
+    /// Whether the pictures and the database stay in `poses/.work`.
+    pub keep_work: bool,
+    /// Take a model even if few key frames were placed.
+    pub accept_poor: bool,
+}
+
+impl Default for ColmapOptions {
+    fn default() -> Self {
+        Self {
+            program: super::child::default_program(),
+            keyframes: None,
+            camera_model: "OPENCV".into(),
+            max_features: 3000,
+            max_side: 1600,
+            mask_face: false,
+            time_limit: None,
+            keep_work: false,
+            accept_poor: false,
+        }
+    }
+}
+
+/// What COLMAP gave.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// The best sub-model.
+    pub found: Found,
+    /// The key frames.
+    pub keyframes: Vec<u32>,
+    /// What to know.
+    pub notes: Vec<String>,
+}
+
+/// Runs COLMAP with its files in `work`, its output in `log`, which will later be found at `final_log`.
+pub fn run(
+    take: &Take,
+    track: &Track,
+    options: &ColmapOptions,
+    work: &Path,
+    log: &Path,
+    final_log: &Path,
+    reporter: &dyn Reporter,
+) -> Result<Run> {
+    let started = Instant::now();
+    let runner = Runner { program: &options.program, log, final_log, started, limit: options.time_limit, reporter };
+    // Asked first: a missing program should not cost the extraction of pictures.
+    let version = find_version(&runner)?;
+    let flags = Flags::of(version);
+    let keys = keyframes::choose(&take.frames, options.keyframes.unwrap_or_else(|| keyframes::default_count(&take.frames)));
+    let pictures = work.join("images");
+    let database = work.join("database.db");
+    extract(take, track, &keys, options, work, reporter)?;
+    reporter.stage("features", Some(keys.len() as u64));
+    let mut args = words(&[
+        ("--database_path", database.as_os_str()),
+        ("--image_path", pictures.as_os_str()),
+        ("--ImageReader.single_camera", "1".as_ref()),
+        ("--ImageReader.camera_model", options.camera_model.as_ref()),
+        ("--SiftExtraction.max_num_features", options.max_features.to_string().as_ref()),
+        (flags.extraction_gpu, "0".as_ref()),
+    ]);
+    if options.mask_face {
+        args.extend(words(&[("--ImageReader.mask_path", work.join("masks").as_os_str())]));
+    }
+    runner.run("feature_extractor", &args, Some(|line| number_after(line, "Processed file [")))?;
+    compare(&runner, &keys, &database, flags, work)?;
+    map(&runner, &keys, &database, &pictures, flags, work)?;
+    let found = pick(take, work, final_log, keys.len())?;
+    let registered = found.model.frames.len();
+    let mut notes = vec![
+        format!("COLMAP {} on {} key frames", version.map_or("of unknown version".into(), |v| v.to_string()), keys.len()),
+        format!("took the largest of {} sub-models with {registered} images", found.candidates),
+    ];
+    if (registered as f64) < MIN_REGISTERED_SHARE * keys.len() as f64 {
+        if !options.accept_poor {
+            return Err(TrackerError::FewRegistered { registered, tried: keys.len() });
+        }
+        let message = format!("COLMAP placed only {registered} of {} key frames; taken as asked", keys.len());
+        reporter.warn(Warning::new("few-registered", message.clone()));
+        notes.push(message);
+    }
+    Ok(Run { found, keyframes: keys, notes })
+}
+
+fn find_version(runner: &Runner<'_>) -> Result<Option<Version>> {
+    let text = match runner.run("help", &[], None) {
+        Ok(text) => text,
+        Err(TrackerError::ColmapFailed { last_line, .. }) => last_line,
+        Err(e) => return Err(e),
+    };
+    let version = Version::find(&text);
+    if version.is_none() {
+        runner.reporter.warn(Warning::new(
+            "colmap-version",
+            format!("`{} help` does not tell its version; the option names of the newest one are used", runner.program.display()),
+        ));
+    }
+    Ok(version)
+}
+
+fn words(pairs: &[(&str, &std::ffi::OsStr)]) -> Vec<OsString> {
+    pairs.iter().flat_map(|(name, value)| [OsString::from(name), (*value).to_owned()]).collect()
+}
+
+fn create_dir(dir: &Path) -> Result<()> {
+    fs::create_dir_all(dir).map_err(|e| FormatError::io(dir, "create the folder", &e).into())
+}
+
+/// Writes the key frames (and masks) as PNG.
+fn extract(
+    take: &Take,
+    track: &Track,
+    keys: &[u32],
+    options: &ColmapOptions,
+    work: &Path,
+    reporter: &dyn Reporter,
+) -> Result<()> {
+    let (pictures, masks) = (work.join("images"), work.join("masks"));
+    create_dir(&pictures)?;
+    if options.mask_face {
+        create_dir(&masks)?;
+    }
+    let by_frame: BTreeMap<u32, _> = track.rows.iter().filter(|r| r.success).map(|r| (r.frame.0, r)).collect();
+    reporter.stage("key frames", Some(keys.len() as u64));
+    risorius_video::read_frames(take.media_path(), keys, |frame, picture| {
+        if reporter.cancelled() {
+            return Err(TrackerError::Cancelled { doing: "extracting key frames".into() });
+        }
+        let name = FrameIndex(frame).image_name();
+        let picture = reduced(picture, options.max_side);
+        write_png(&pictures.join(&name), &picture)?;
+        if options.mask_face {
+            let scale = f64::from(picture.width()) / f64::from(take.manifest.width);
+            let landmarks = by_frame.get(&frame).and_then(|r| r.landmarks.as_deref());
+            let mask = mask::outside_face(picture.width(), picture.height(), scale, landmarks);
+            let path = masks.join(format!("{name}.png"));
+            mask.save(&path).map_err(|e| FormatError::syntax(format!("cannot write: {e}")).in_file(&path))?;
+        }
+        reporter.advance(1);
+        Ok(())
+    })
+}
+
+fn reduced(picture: RgbImage, max_side: u32) -> RgbImage {
+    let side = picture.width().max(picture.height());
+    if side <= max_side {
+        return picture;
+    }
+    let scale = f64::from(max_side) / f64::from(side);
+    let to = |n: u32| (f64::from(n) * scale).round().max(1.0) as u32;
+    imageops::resize(&picture, to(picture.width()), to(picture.height()), imageops::FilterType::Triangle)
+}
+
+fn write_png(path: &Path, picture: &RgbImage) -> Result<()> {
+    let io = |e: std::io::Error| FormatError::io(path, "write", &e);
+    let file = std::io::BufWriter::new(fs::File::create(path).map_err(io)?);
+    PngEncoder::new_with_quality(file, CompressionType::Fast, FilterType::Sub)
+        .write_image(picture.as_raw(), picture.width(), picture.height(), image::ExtendedColorType::Rgb8)
+        .map_err(|e| FormatError::syntax(format!("cannot write: {e}")).in_file(path).into())
+}
+
+fn compare(runner: &Runner<'_>, keys: &[u32], database: &Path, flags: Flags, work: &Path) -> Result<()> {
+    let pairs = keyframes::pairs(keys.len());
+    runner.reporter.stage("compare pictures", Some(pairs.len() as u64));
+    for (i, portion) in pairs.chunks(PAIRS_PER_CALL).enumerate() {
+        let list = work.join(format!("pairs_{i:04}.txt"));
+        let mut text = String::new();
+        for &(a, b) in portion {
+            // Writing into a string cannot fail.
+            let _ = writeln!(text, "{} {}", FrameIndex(keys[a]).image_name(), FrameIndex(keys[b]).image_name());
+        }
+        fs::write(&list, text).map_err(|e| FormatError::io(&list, "write", &e))?;
+        let args = words(&[
+            ("--database_path", database.as_os_str()),
+            ("--match_list_path", list.as_os_str()),
+            ("--match_type", "pairs".as_ref()),
+            (flags.matching_gpu, "0".as_ref()),
+        ]);
+        runner.run("matches_importer", &args, None)?;
+        runner.reporter.advance(portion.len() as u64);
+    }
+    Ok(())
+}
+
+fn map(
+    runner: &Runner<'_>,
+    keys: &[u32],
+    database: &Path,
+    pictures: &Path,
+    flags: Flags,
+    work: &Path,
+) -> Result<()> {
+    let sparse = work.join("sparse");
+    create_dir(&sparse)?;
+    runner.reporter.stage("map", Some(keys.len() as u64));
+    let args = words(&[
+        ("--database_path", database.as_os_str()),
+        ("--image_path", pictures.as_os_str()),
+        ("--output_path", sparse.as_os_str()),
+        // A model doubles its cost when it is adjusted as a whole after every tenth picture.
+        (flags.global_ratio, "1.4".as_ref()),
+        ("--Mapper.ba_global_points_ratio", "1.4".as_ref()),
+        ("--Mapper.ba_global_max_num_iterations", "30".as_ref()),
+    ]);
+    // `Registering image #12 (34)` is the 34th image.
+    let progress = |line: &str| line.contains("Registering image #").then(|| number_after(line, "(")).flatten();
+    match runner.run("mapper", &args, Some(progress)) {
+        // Some versions exit with an error when they find no model; that is told better below.
+        Err(TrackerError::ColmapFailed { .. }) if model::model_dirs(&sparse).is_empty() && is_about_no_model(runner.log) => Ok(()),
+        other => other.map(|_| ()),
+    }
+}
+
+fn is_about_no_model(log: &Path) -> bool {
+    let text = fs::read(log).map(|b| String::from_utf8_lossy(&b).into_owned()).unwrap_or_default();
+    let text = text.to_ascii_lowercase();
+    text.contains("failed to create sparse model") || text.contains("no good initial image pair")
+}
+
+fn pick(take: &Take, work: &Path, log: &Path, tried: usize) -> Result<Found> {
+    let sparse = work.join("sparse");
+    if model::model_dirs(&sparse).is_empty() {
+        return Err(TrackerError::ColmapNoModel { tried, log: log.to_owned() });
+    }
+    // Silent: that the pictures were reduced is our own doing.
+    let found = model::load(&sparse, take, 0, &Silent)?;
+    if found.model.frames.len() < MIN_IMAGES {
+        return Err(TrackerError::ColmapNoModel { tried, log: log.to_owned() });
+    }
+    Ok(found)
+}
+
+#[cfg(test)]
+#[path = "colmap_tests.rs"]
+mod tests;

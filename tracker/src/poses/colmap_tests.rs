@@ -1,0 +1,151 @@
+use super::*;
+use crate::testing;
+use risorius_formats::Hint;
+use risorius_formats::report::Collected;
+use std::os::unix::fs::PermissionsExt;
+
+/// A take of ten small pictures in a folder, and a `colmap` that is a shell script.
+struct Stage {
+    dir: tempfile::TempDir,
+    take: Take,
+}
+
+impl Stage {
+    fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let path = testing::take(dir.path(), 32, 24, 10);
+        let pictures = path.join("pictures");
+        std::fs::create_dir(&pictures).unwrap();
+        for i in 0..10 {
+            RgbImage::from_pixel(32, 24, image::Rgb([i * 20, 7, 9])).save(pictures.join(format!("{i:03}.png"))).unwrap();
+        }
+        let mut manifest = Take::open(&path).unwrap().manifest;
+        manifest.source = risorius_formats::take::SourceKind::Images;
+        manifest.media = "pictures".into();
+        manifest.write(path.join("take.toml")).unwrap();
+        Self { take: Take::open(&path).unwrap(), dir }
+    }
+
+    /// Runs with a script whose `case "$1"` arms are given.
+    fn run(&self, arms: &str, limit: Option<Duration>, reporter: &dyn Reporter) -> (Result<Run>, String) {
+        let program = self.dir.path().join("colmap");
+        let text = format!("#!/bin/sh\ncase \"$1\" in\nhelp) echo 'COLMAP 3.8 -- fake';;\n{arms}\nesac\n");
+        std::fs::write(&program, text).unwrap();
+        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+        self.run_program(program, limit, reporter)
+    }
+
+    fn run_program(&self, program: PathBuf, limit: Option<Duration>, reporter: &dyn Reporter) -> (Result<Run>, String) {
+        let options = ColmapOptions { program, time_limit: limit, mask_face: true, ..ColmapOptions::default() };
+        let work = self.dir.path().join("work");
+        let _ = std::fs::remove_dir_all(&work);
+        std::fs::create_dir(&work).unwrap();
+        let log = self.dir.path().join("colmap.log");
+        let _ = std::fs::remove_file(&log);
+        let result = run(&self.take, &Track::default(), &options, &work, &log, Path::new("final.log"), reporter);
+        (result, std::fs::read_to_string(log).unwrap_or_default())
+    }
+}
+
+/// Hears progress; asks to stop after some steps.
+#[derive(Default)]
+struct Listener {
+    steps: std::sync::Mutex<Vec<(String, u64)>>,
+    stop_in: Option<&'static str>,
+}
+
+impl Reporter for Listener {
+    fn stage(&self, name: &str, _: Option<u64>) {
+        self.steps.lock().unwrap().push((name.to_owned(), 0));
+    }
+    fn advance(&self, steps: u64) {
+        self.steps.lock().unwrap().last_mut().unwrap().1 += steps;
+    }
+    fn note(&self, _: &str) {}
+    fn warn(&self, _: Warning) {}
+    fn cancelled(&self) -> bool {
+        self.stop_in.is_some_and(|s| self.steps.lock().unwrap().last().is_some_and(|l| l.0 == s))
+    }
+}
+
+/// The arms of a mapper that places `count` images.
+fn mapper(count: usize) -> String {
+    let images: String = (0..count).map(|i| format!("{} 1 0 0 0 {i} 0 5 1 {i:06}.png\\n\\n", i + 1)).collect();
+    format!(
+        "feature_extractor) for i in 1 2 3 10; do echo \"Processed file [$i/10]\"; done;;\nmatches_importer) ;;\nmapper) shift; while [ \"$1\" != --output_path ]; do shift; done; mkdir \"$2/0\"; cd \"$2/0\"
+echo 'Registering image #4 (3)'; echo 'Registering image #9 (10)'
+echo '1 SIMPLE_RADIAL 32 24 30 16 12 0' > cameras.txt; printf '{images}' > images.txt; : > points3D.txt;;"
+    )
+}
+
+#[test]
+fn a_whole_run_reads_progress_from_the_log_and_tells_the_flags() {
+    let stage = Stage::new();
+    let listener = Listener::default();
+    let (result, log) = stage.run(&mapper(10), None, &listener);
+    let run = result.unwrap();
+    assert_eq!((run.keyframes.len(), run.found.model.frames.len()), (10, 10));
+    let steps = listener.steps.into_inner().unwrap();
+    let of = |name: &str| steps.iter().find(|s| s.0 == name).unwrap().1;
+    assert_eq!((of("key frames"), of("features"), of("compare pictures"), of("map")), (10, 10, 45, 10));
+    assert!(log.contains("--SiftExtraction.use_gpu 0") && log.contains("--SiftMatching.use_gpu 0"), "{log}");
+    assert!(stage.dir.path().join("work/masks/000003.png.png").is_file());
+    assert!(stage.dir.path().join("work/images/000009.png").is_file());
+}
+
+#[test]
+fn too_few_placed_frames_are_refused_with_advice() {
+    let stage = Stage::new();
+    let (result, _) = stage.run(&mapper(3), None, &Collected::default());
+    let error = result.unwrap_err();
+    assert!(matches!(error, TrackerError::FewRegistered { registered: 3, tried: 10 }), "{error}");
+    assert!(error.hint().unwrap().contains("--accept-poor"));
+}
+
+#[test]
+fn a_failing_step_is_named_with_its_last_words() {
+    let stage = Stage::new();
+    let (result, log) = stage.run("feature_extractor) echo begun; echo 'no memory left' >&2; exit 3;;", None, &Collected::default());
+    let error = result.unwrap_err();
+    assert!(matches!(&error, TrackerError::ColmapFailed { step, last_line, .. } if step == "feature_extractor" && last_line == "no memory left"), "{error}");
+    assert!(error.hint().unwrap().contains("final.log") && log.contains("begun"));
+}
+
+#[test]
+fn a_step_that_hangs_is_ended_at_the_time_limit_or_on_request() {
+    let stage = Stage::new();
+    let arms = "feature_extractor) sleep 60;;";
+    let begun = Instant::now();
+    let (result, _) = stage.run(arms, Some(Duration::from_millis(1500)), &Collected::default());
+    assert!(matches!(result.unwrap_err(), TrackerError::ColmapTimeout { .. }));
+    let listener = Listener { stop_in: Some("features"), ..Listener::default() };
+    let (result, _) = stage.run(arms, None, &listener);
+    assert!(matches!(result.unwrap_err(), TrackerError::Cancelled { .. }));
+    assert!(begun.elapsed() < Duration::from_secs(40), "{:?}", begun.elapsed());
+}
+
+#[test]
+fn no_model_is_told_apart_from_a_crash() {
+    let stage = Stage::new();
+    let start = "feature_extractor|matches_importer) ;;\n";
+    let (result, _) = stage.run(&format!("{start}mapper) echo 'ERROR: failed to create sparse model'; exit 1;;"), None, &Collected::default());
+    assert!(matches!(result.unwrap_err(), TrackerError::ColmapNoModel { tried: 10, .. }));
+    let (result, _) = stage.run(&format!("{start}mapper) exit 0;;"), None, &Collected::default());
+    assert!(matches!(result.unwrap_err(), TrackerError::ColmapNoModel { .. }));
+    let (result, _) = stage.run(&format!("{start}mapper) kill -9 $$;;"), None, &Collected::default());
+    assert!(matches!(result.unwrap_err(), TrackerError::ColmapFailed { .. }));
+}
+
+#[test]
+fn a_missing_program_is_found_out_before_any_work() {
+    let stage = Stage::new();
+    let (result, _) = stage.run_program("no-such-colmap-here".into(), None, &Collected::default());
+    let error = result.unwrap_err();
+    assert!(matches!(error, TrackerError::ColmapMissing { .. }), "{error}");
+    assert!(error.hint().unwrap().contains("apt install colmap"));
+    assert!(!stage.dir.path().join("work/images").exists());
+    // A file that is no program.
+    let text = stage.dir.path().join("text");
+    std::fs::write(&text, "x").unwrap();
+    assert!(matches!(stage.run_program(text, None, &Collected::default()).0.unwrap_err(), TrackerError::ColmapMissing { .. }));
+}

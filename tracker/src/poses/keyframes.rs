@@ -1,0 +1,137 @@
+//! Which frames are worth placing by themselves: evenly spread in time, the sharpest near each place.
+
+use risorius_formats::FrameRecord;
+
+/// Key frames stand no farther apart than this on average, seconds, so that what lies between can be interpolated.
+const SPACING_SECS: f64 = 0.33;
+/// Key frames of a short take.
+const FEWEST: usize = 80;
+/// Key frames of a long take.
+const MOST: usize = 400;
+
+/// How many key frames a take of this length gets by default.
+pub fn default_count(frames: &[FrameRecord]) -> usize {
+    let secs = duration_secs(frames);
+    ((secs / SPACING_SECS).ceil() as usize + 1).clamp(FEWEST, MOST)
+}
+
+fn duration_secs(frames: &[FrameRecord]) -> f64 {
+    let ends = frames.first().zip(frames.last());
+    ends.map_or(0.0, |(a, b)| (b.timestamp_nanos - a.timestamp_nanos) as f64 * 1e-9)
+}
+
+/// `count` key frames in ascending order, fewer where the take is short.
+///
+/// The first and the last frame are among them, since nothing is extrapolated. The others are the sharpest frames in the
+/// middle half of their slot in time; repeated frames are passed over, and of equally sharp ones the nearest to the
+/// middle of the slot is taken.
+pub fn choose(frames: &[FrameRecord], count: usize) -> Vec<u32> {
+    let Some(last) = frames.len().checked_sub(1) else { return Vec::new() };
+    if count >= frames.len() {
+        return (0..frames.len() as u32).collect();
+    }
+    if count < 3 {
+        return if last == 0 { vec![0] } else { vec![0, last as u32] };
+    }
+    let start = frames[0].timestamp_nanos as f64;
+    let slot = (frames[last].timestamp_nanos as f64 - start) / (count - 1) as f64;
+    let mut chosen = vec![0u32];
+    for k in 1..count - 1 {
+        let middle = start + slot * k as f64;
+        let from = frames.partition_point(|f| (f.timestamp_nanos as f64) < middle - slot / 4.0);
+        let to = frames.partition_point(|f| f.timestamp_nanos as f64 <= middle + slot / 4.0);
+        let distance = |f: &FrameRecord| (f.timestamp_nanos as f64 - middle).abs();
+        let better = |a: &&FrameRecord, b: &&FrameRecord| {
+            (!a.repeated, a.sharpness.unwrap_or(0.0))
+                .partial_cmp(&(!b.repeated, b.sharpness.unwrap_or(0.0)))
+                .unwrap_or(std::cmp::Ordering::Equal)
+                .then(distance(b).total_cmp(&distance(a)))
+        };
+        let best = frames[from..to].iter().max_by(better);
+        // A slot without frames (frames were dropped) gets none.
+        if let Some(best) = best.filter(|b| chosen.last().is_some_and(|c| *c < b.index.0)) {
+            chosen.push(best.index.0);
+        }
+    }
+    if chosen.last() != Some(&(last as u32)) {
+        chosen.push(last as u32);
+    }
+    chosen
+}
+
+/// Pairs of key frames (by place in the list) whose pictures are worth comparing.
+///
+/// Every frame with its next [`OVERLAP`] and with those 16, 32, 64 … later, and every fourth frame with every other
+/// fourth: the camera of a selfie comes back to where it was. Few key frames are compared all with all.
+pub fn pairs(count: usize) -> Vec<(usize, usize)> {
+    let wanted = |i: usize, j: usize| {
+        let gap = j - i;
+        count <= 40 || gap <= OVERLAP || (gap >= 16 && gap.is_power_of_two()) || (i.is_multiple_of(4) && j.is_multiple_of(4))
+    };
+    (0..count).flat_map(|i| (i + 1..count).filter(move |&j| wanted(i, j)).map(move |j| (i, j))).collect()
+}
+
+/// Neighbours that each key frame is compared with.
+const OVERLAP: usize = 8;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use risorius_formats::FrameIndex;
+
+    fn frames(n: u32, sharpness: impl Fn(u32) -> f32) -> Vec<FrameRecord> {
+        (0..n)
+            .map(|i| FrameRecord {
+                index: FrameIndex(i),
+                timestamp_nanos: i64::from(i) * 10_000_000,
+                sharpness: Some(sharpness(i)),
+                ..FrameRecord::default()
+            })
+            .collect()
+    }
+
+    #[test]
+    fn sharp_frames_are_preferred_within_their_slot_and_the_ends_are_kept() {
+        // 11 places, 100 frames apart; the middle half of a slot is ±25 frames.
+        let chosen = choose(&frames(1001, |i| if i % 100 == 10 { 9.0 } else { 1.0 }), 11);
+        assert_eq!(chosen, [0, 110, 210, 310, 410, 510, 610, 710, 810, 910, 1000]);
+        // A sharper frame outside the middle half of the slot would leave a gap.
+        let chosen = choose(&frames(1001, |i| if i % 100 == 40 { 9.0 } else { 1.0 }), 11);
+        assert_eq!(chosen, (0..=10).map(|k| k * 100).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn repeated_frames_and_holes_are_passed_over() {
+        let mut list = frames(1001, |_| 1.0);
+        list[200].repeated = true;
+        list[200].sharpness = Some(99.0);
+        let chosen = choose(&list, 11);
+        assert_ne!(chosen[2], 200);
+        for f in &mut list[501..] {
+            f.timestamp_nanos += 5_000_000_000;
+        }
+        let chosen = choose(&list, 16);
+        assert!(chosen.windows(2).all(|w| w[0] < w[1]));
+        assert!(chosen.len() < 16 && chosen.first() == Some(&0) && chosen.last() == Some(&1000));
+    }
+
+    #[test]
+    fn short_takes_give_all_they_have() {
+        assert_eq!(choose(&frames(5, |_| 1.0), 80), [0, 1, 2, 3, 4]);
+        assert!(choose(&[], 80).is_empty());
+        assert_eq!(default_count(&frames(5, |_| 1.0)), 80);
+        assert_eq!(default_count(&frames(12_001, |_| 1.0)), 365);
+    }
+
+    #[test]
+    fn pairs_hold_neighbours_and_loops_once() {
+        let p = pairs(80);
+        assert!(p.contains(&(0, 1)) && p.contains(&(70, 78)) && p.contains(&(3, 67)) && p.contains(&(0, 76)));
+        assert!(!p.contains(&(1, 12)));
+        let mut sorted = p.clone();
+        sorted.dedup();
+        assert_eq!(sorted.len(), p.len());
+        assert!(p.len() < 1300, "{}", p.len());
+        assert_eq!(pairs(40).len(), 780);
+    }
+}

@@ -1,0 +1,263 @@
+//! The cameras of a take: by COLMAP, from a finished COLMAP model, or from the head's own motion.
+//!
+//! Whatever the way, the result is the same: `poses/sparse/` (a COLMAP text model at full size, images `%06d.png`) and
+//! `poses/report.json` with the head's place, near and far. Frames between placed ones are interpolated.
+
+mod child;
+pub mod colmap;
+pub mod depths;
+pub mod flags;
+pub mod focal;
+pub mod head;
+pub mod hull;
+pub mod interpolate;
+pub mod keyframes;
+pub mod mask;
+pub mod model;
+mod refine;
+pub mod smooth;
+pub mod triangulate;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use glam::DVec3;
+use risorius_formats::atomic::AtomicDir;
+use risorius_formats::openface::{self, ReadOptions};
+use risorius_formats::pose_report::{PoseMethod, PoseReport};
+use risorius_formats::{FormatError, Reporter, Silent, Take, Track, Warning, colmap as colmap_format};
+
+use self::colmap::ColmapOptions;
+use self::depths::Head;
+use self::head::HeadOptions;
+use self::model::{PlacedFrame, TakeModel};
+use crate::error::{Result, TrackerError};
+
+/// With the head route sampling starts this much before the body around the head and ends as much behind it.
+const HULL_MARGIN: f64 = 0.1;
+
+/// Where the cameras come from.
+#[derive(Clone, Debug)]
+pub enum Source {
+    /// COLMAP is run.
+    Colmap(ColmapOptions),
+    /// A finished model.
+    Model {
+        /// Its folder, or one above it.
+        dir: PathBuf,
+        /// The number of the take's first frame in its image names.
+        first: u32,
+    },
+    /// A still camera; the head moves.
+    Head(HeadOptions),
+}
+
+/// How to find the cameras.
+#[derive(Clone, Debug)]
+pub struct PosesOptions {
+    /// Where they come from.
+    pub source: Source,
+    /// Rows below this confidence are lost.
+    pub min_confidence: f32,
+    /// Longest gap between placed frames that is interpolated, seconds.
+    pub max_gap_secs: f64,
+}
+
+/// The take's track; an error with advice when there is none.
+pub fn read_track(take: &Take) -> Result<Track> {
+    let path = take.openface_path();
+    if !path.is_file() {
+        return Err(TrackerError::NoTrack { path });
+    }
+    // Our own file: its peculiarities were reported when it was imported.
+    Ok(openface::read(path, &ReadOptions::default(), &Silent)?)
+}
+
+/// Finds the cameras and writes `TAKE/poses/`.
+pub fn find(take_dir: impl AsRef<Path>, options: &PosesOptions, reporter: &dyn Reporter) -> Result<PoseReport> {
+    let started = Instant::now();
+    let take = Take::open(take_dir)?;
+    let track = read_track(&take)?;
+    let folder = AtomicDir::create(take.dir.join("poses"))?;
+    let result = place(&take, &track, options, folder.path(), reporter);
+    let mut placed = match result {
+        Ok(placed) => placed,
+        Err(error) => {
+            keep_log(&take, folder.path());
+            return Err(error);
+        }
+    };
+    reporter.stage("write the poses", None);
+    interpolate_between(&mut placed, &take, options.max_gap_secs, reporter);
+    let report = report(&placed, &take, &track, options, started)?;
+    colmap_format::write_text(folder.path().join("sparse"), &placed.model.to_colmap())?;
+    report.write(folder.path().join("report.json"))?;
+    folder.commit()?;
+    Ok(report)
+}
+
+/// Cameras as they come from their source.
+struct Placed {
+    method: PoseMethod,
+    model: TakeModel,
+    frames_tried: usize,
+    frames_registered: usize,
+    head: Option<(Head, Vec<DVec3>)>,
+    interpolated_runs: Vec<[u32; 2]>,
+    notes: Vec<String>,
+}
+
+fn place(
+    take: &Take,
+    track: &Track,
+    options: &PosesOptions,
+    folder: &Path,
+    reporter: &dyn Reporter,
+) -> Result<Placed> {
+    match &options.source {
+        Source::Model { dir, first } => {
+            reporter.stage("read the model", None);
+            let found = model::load(dir, take, *first, reporter)?;
+            let mut notes = vec![format!("took {} of {} sub-models", found.dir.display(), found.candidates)];
+            if found.foreign_images > 0 {
+                let message = format!("{} images of the model belong to no frame of the take and were left out", found.foreign_images);
+                reporter.warn(Warning::new("foreign-images", message.clone()));
+                notes.push(message);
+            }
+            let registered = found.model.frames.len();
+            Ok(Placed {
+                method: PoseMethod::ColmapModel,
+                frames_tried: registered + found.foreign_images,
+                frames_registered: registered,
+                model: found.model,
+                head: None,
+                interpolated_runs: Vec::new(),
+                notes,
+            })
+        }
+        Source::Colmap(colmap_options) => {
+            let work = folder.join(".work");
+            fs::create_dir(&work).map_err(|e| FormatError::io(&work, "create the folder", &e))?;
+            let final_log = take.dir.join("poses").join("colmap.log");
+            let run = colmap::run(take, track, colmap_options, &work, &folder.join("colmap.log"), &final_log, reporter)?;
+            if !colmap_options.keep_work {
+                fs::remove_dir_all(&work).map_err(|e| FormatError::io(&work, "remove", &e))?;
+            }
+            Ok(Placed {
+                method: PoseMethod::Colmap,
+                frames_tried: run.keyframes.len(),
+                frames_registered: run.found.model.frames.len(),
+                model: run.found.model,
+                head: None,
+                interpolated_runs: Vec::new(),
+                notes: run.notes,
+            })
+        }
+        Source::Head(head_options) => {
+            let route = head::find(take, track, head_options, reporter)?;
+            let registered = route.model.frames.len();
+            Ok(Placed {
+                method: PoseMethod::Head,
+                frames_tried: take.frames.len(),
+                frames_registered: registered,
+                model: route.model,
+                head: Some((route.head, route.hull)),
+                interpolated_runs: Vec::new(),
+                notes: route.notes,
+            })
+        }
+    }
+}
+
+/// What COLMAP said is worth keeping when it failed; older poses stay.
+fn keep_log(take: &Take, staging: &Path) {
+    let log = staging.join("colmap.log");
+    if log.is_file() {
+        let poses = take.dir.join("poses");
+        // A log that cannot be kept must not hide the error that it would explain.
+        let _ = fs::create_dir_all(&poses).and_then(|()| fs::copy(&log, poses.join("colmap.log")).map(|_| ()));
+    }
+}
+
+fn interpolate_between(placed: &mut Placed, take: &Take, max_gap_secs: f64, reporter: &dyn Reporter) {
+    let result = interpolate::interpolate(&placed.model.poses(), &take.frames, max_gap_secs);
+    for (&frame, &camera_from_world) in &result.poses {
+        // The lens of the frame before: a take has one camera, foreign models may have several.
+        let lens = placed.model.frames.range(..frame).next_back().map_or(1, |(_, f)| f.lens);
+        placed.model.frames.insert(frame, PlacedFrame { lens, camera_from_world, points: Vec::new() });
+    }
+    let left: u32 = result.gaps.iter().map(|r| r[1] - r[0] + 1).sum();
+    if left > 0 {
+        let message = format!(
+            "{left} frames lie in {} gaps longer than {max_gap_secs} s between placed frames and got no pose",
+            result.gaps.len()
+        );
+        reporter.warn(Warning::new("pose-gap", message.clone()));
+        placed.notes.push(message);
+    }
+    placed.interpolated_runs = result.runs;
+}
+
+fn report(
+    placed: &Placed,
+    take: &Take,
+    track: &Track,
+    options: &PosesOptions,
+    started: Instant,
+) -> Result<PoseReport> {
+    let interpolated: u32 = placed.interpolated_runs.iter().map(|r| r[1] - r[0] + 1).sum();
+    let poses = placed.model.poses();
+    let (head, hull) = match &placed.head {
+        Some((head, hull)) => (head.clone(), Some(hull.clone())),
+        None => (depths::find_head(&registered_only(placed), track, options.min_confidence)?, None),
+    };
+    let behind = TrackerError::TooLittleParallax { good: 0 };
+    let head_depth = Head::depths(&head.landmarks, poses.values()).ok_or(behind)?;
+    let point_depths = placed.model.point_depths();
+    let range = depths::range(head_depth, head.radius, point_depths);
+    let (near, far) = match &hull {
+        None => (range.near, range.far),
+        Some(hull) => {
+            let [lo, hi] = Head::depths(hull, poses.values()).unwrap_or(head_depth);
+            (lo * (1.0 - HULL_MARGIN), hi * (1.0 + HULL_MARGIN))
+        }
+    };
+    Ok(PoseReport {
+        method: placed.method,
+        frames: take.frames.len() as u32,
+        frames_tried: placed.frames_tried as u32,
+        frames_registered: placed.frames_registered as u32,
+        frames_interpolated: interpolated,
+        registered_share: placed.frames_registered as f64 / placed.frames_tried.max(1) as f64,
+        reprojection_error_px: placed.model.reprojection_error_px(),
+        landmark_error_px: Some(head.landmark_error_px),
+        head_center: head.center,
+        head_radius: head.radius,
+        head_depth,
+        near,
+        far,
+        background_depth: range.background,
+        units_per_metre: hull.is_some().then_some(1.0),
+        landmarks_in_world: head.landmarks,
+        head_hull_in_world: hull,
+        interpolated_runs: placed.interpolated_runs.clone(),
+        seconds: started.elapsed().as_secs_f64(),
+        notes: placed.notes.clone(),
+    })
+}
+
+/// Interpolated poses say nothing new about the face.
+fn registered_only(placed: &Placed) -> TakeModel {
+    let mut model = TakeModel { lenses: placed.model.lenses.clone(), ..TakeModel::default() };
+    let interpolated = |frame: u32| placed.interpolated_runs.iter().any(|r| (r[0]..=r[1]).contains(&frame));
+    let registered = placed.model.frames.iter().filter(|(f, _)| !interpolated(**f));
+    model.frames = registered
+        .map(|(&f, p)| (f, PlacedFrame { lens: p.lens, camera_from_world: p.camera_from_world, points: Vec::new() }))
+        .collect();
+    model
+}
+
+#[cfg(test)]
+#[path = "poses_tests.rs"]
+mod tests;

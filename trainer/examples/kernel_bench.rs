@@ -1,0 +1,128 @@
+//! Speed of the fused kernels against their layer-by-layer twins and a bare matrix product, in one run.
+//!
+//! `cargo run -p risorius-trainer --release --example kernel_bench [-- THREADS]`
+#![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
+
+use std::hint::black_box;
+use std::time::Instant;
+
+use burn::tensor::{Device, Distribution, Tensor};
+use risorius_trainer::kernel::{
+    EncodingSpec, MlpSpec, composite, grouped_mlp_forward, mlp_forward, positional_encoding, reference, set_threads,
+};
+
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+/// Fastest of some runs, in seconds.
+fn fastest(mut run: impl FnMut()) -> f64 {
+    let mut best = f64::INFINITY;
+    let begin = Instant::now();
+    for round in 0..20 {
+        let start = Instant::now();
+        run();
+        best = best.min(start.elapsed().as_secs_f64());
+        if round > 1 && begin.elapsed().as_secs_f64() > 2.0 {
+            break;
+        }
+    }
+    best
+}
+
+fn random(shape: [usize; 2], device: &Device) -> Tensor<2> {
+    Tensor::random(shape, Distribution::Uniform(-0.2, 0.2), device)
+}
+
+/// Seconds of a forward pass without and of a forward and backward pass with autodiff.
+fn measure(inputs: &[Tensor<2>], run: impl Fn(&[Tensor<2>]) -> Tensor<2>) -> [f64; 2] {
+    let plain: Vec<_> = inputs.iter().map(|input| input.clone().inner()).collect();
+    let tracked: Vec<_> = inputs.iter().map(|input| input.clone().detach().require_grad()).collect();
+    let forward = fastest(|| drop(black_box(run(&plain))));
+    let both = fastest(|| drop(black_box(run(&tracked).sum().backward())));
+    [forward, both]
+}
+
+fn report(name: &str, rows: usize, flops: Option<f64>, [fused, plain]: [[f64; 2]; 2]) {
+    let rate = |factor: f64, seconds: f64| match flops {
+        Some(flops) => format!("{:6.1} GFLOP/s", factor * flops / seconds * 1e-9),
+        None => format!("{:6.2} ms     ", seconds * 1e3),
+    };
+    println!(
+        "{name:32} {rows:6} | forward {} twin {} ratio {:5.2} | forward+backward {} twin {} ratio {:5.2}",
+        rate(1.0, fused[0]),
+        rate(1.0, plain[0]),
+        plain[0] / fused[0],
+        rate(3.0, fused[1]),
+        rate(3.0, plain[1]),
+        plain[1] / fused[1],
+    );
+}
+
+/// Multiplications and additions of the weights for one row.
+fn flops(spec: &MlpSpec, inputs: usize) -> f64 {
+    spec.layers(inputs).map(|(rows, cols)| 2.0 * (rows * cols) as f64).sum()
+}
+
+/// A 512-cubed product on one core: what the machine can do just now.
+fn floor() -> f64 {
+    let device = Device::flex();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+    let (a, b) = (random([512, 512], &device), random([512, 512], &device));
+    let run = || fastest(|| drop(black_box(a.clone().matmul(b.clone()))));
+    2.0 * 512_f64.powi(3) / pool.map_or_else(|_| run(), |pool| pool.install(run)) * 1e-9
+}
+
+fn main() {
+    if let Some(threads) = std::env::args().nth(1).and_then(|arg| arg.parse().ok()) {
+        set_threads(threads);
+    }
+    let device = Device::flex().autodiff();
+    println!(
+        "512x512x512 product on one thread: {:.1} GFLOP/s; rates count 3 forward passes for forward+backward",
+        floor()
+    );
+
+    for rows in [16_384, 65_536] {
+        let dense = [
+            ("123 -> 4x64 -> 64", 123, MlpSpec { depth: 4, width: 64, skip: None, output: Some(64) }),
+            ("339 -> 8x256, skip 4", 339, MlpSpec { depth: 8, width: 256, skip: Some(4), output: None }),
+        ];
+        for (name, inputs, spec) in dense {
+            let tensors = [random([rows, inputs], &device), random([1, spec.parameter_count(inputs)], &device)];
+            let fused = measure(&tensors, |t| mlp_forward(t[0].clone(), t[1].clone().reshape([-1]), &spec));
+            let plain = measure(&tensors, |t| reference::mlp(t[0].clone(), t[1].clone().reshape([-1]), &spec));
+            report(name, rows, Some(rows as f64 * flops(&spec, inputs)), [fused, plain]);
+        }
+        let grouped = [
+            ("17 x (36+1 -> 6x64 -> 8, skip 4)", MlpSpec { depth: 6, width: 64, skip: Some(4), output: Some(8) }),
+            ("17 x (36+1 -> 4x16 -> 2)", MlpSpec { depth: 4, width: 16, skip: None, output: Some(2) }),
+        ];
+        for (name, spec) in grouped {
+            let params = random([17, spec.parameter_count(37)], &device);
+            let tensors = [random([rows, 36], &device), random([rows, 17], &device), params];
+            let [fused, plain] = [grouped_mlp_forward, reference::grouped_mlp]
+                .map(|run| measure(&tensors, |t| run(t[0].clone(), t[1].clone(), t[2].clone(), &spec)));
+            report(name, rows, Some(17.0 * rows as f64 * flops(&spec, 37)), [fused, plain]);
+        }
+        let spec = EncodingSpec { bands: 0..8, window: vec![1.0; 8], identity: true };
+        let fused = |t: &[Tensor<2>]| positional_encoding(t[0].clone(), 0..8, &spec.window, true);
+        let plain = |t: &[Tensor<2>]| reference::positional_encoding(t[0].clone(), &spec);
+        let tensors = [random([rows, 3], &device)];
+        report("encoding of 3 channels, 8 bands", rows, None, [measure(&tensors, fused), measure(&tensors, plain)]);
+
+        let (rays, samples) = (rows / 128, 128);
+        let tensors = [
+            random([rays, samples], &device).abs(),
+            random([rays, samples], &device).abs(),
+            random([rows, 24], &device),
+        ];
+        let run = |render: fn(Tensor<2>, Tensor<2>, Tensor<3>) -> (Tensor<2>, Tensor<2>)| {
+            measure(&tensors, |t| {
+                let values = t[2].clone().reshape([rays, samples, 24]);
+                let (rendered, weights) = render(t[0].clone(), t[1].clone(), values);
+                Tensor::cat(vec![rendered, weights], 1)
+            })
+        };
+        report("rays of 128 samples, 24 channels", rows, None, [run(composite), run(reference::composite)]);
+    }
+}

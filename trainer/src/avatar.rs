@@ -1,0 +1,152 @@
+//! A fitted avatar, and how it is rendered: deterministic samples, in chunks of rays, without gradients.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use burn::module::Module as _;
+use burn::tensor::{Device, Int, Tensor, TensorData};
+use glam::{DVec2, Vec3};
+use image::RgbImage;
+use rand_chacha::ChaCha8Rng;
+use risorius_formats::{ActionUnit, Camera, Reporter};
+
+use crate::error::{Result, TrainerError};
+use crate::fit::{host, points, rows};
+use crate::hull::Outline;
+use crate::model::{ConfiesModel, Level, RayCodes, Windows};
+use crate::sampling;
+use crate::saved::SavedModel;
+use crate::volume;
+
+/// Rays per chunk: bounds memory, large enough to keep the cores busy.
+const CHUNK_RAYS: usize = 2048;
+/// What is painted where nothing was fitted.
+const BACKDROP: [u8; 3] = [128, 128, 128];
+
+/// One rendered picture.
+#[derive(Clone, Debug)]
+pub struct Render {
+    /// The picture.
+    pub rgb: RgbImage,
+    /// Region mask probabilities, 0–1: N planes of `width · height`.
+    pub masks: Vec<Vec<f32>>,
+    /// Expected depth along the ray, world units; 0 where nothing was fitted.
+    pub depth: Vec<f32>,
+}
+
+/// A fitted avatar.
+pub struct Avatar {
+    /// What is known about it.
+    pub saved: SavedModel,
+    model: ConfiesModel,
+    device: Device,
+}
+
+impl Avatar {
+    /// Opens the avatar of a run.
+    pub fn open(run: impl AsRef<Path>, device: &Device) -> Result<Self> {
+        let run = run.as_ref();
+        let saved = SavedModel::read(run)?;
+        let model = saved.load_model(run, device)?.no_grad();
+        Ok(Self { saved, model, device: device.clone() })
+    }
+
+    /// The neutral face.
+    pub fn neutral_attributes(&self) -> Vec<f32> {
+        self.saved.table.attributes.iter().map(risorius_formats::AttributeSpec::neutral_attribute).collect()
+    }
+
+    /// Attributes of an expression given as AU intensities 0–5; AUs left out are neutral, AUs the avatar does not know
+    /// are returned by name.
+    pub fn attributes_from_intensities(&self, intensities: &BTreeMap<ActionUnit, f32>) -> (Vec<f32>, Vec<ActionUnit>) {
+        let mut attributes = self.neutral_attributes();
+        let mut unknown = Vec::new();
+        for (&unit, &value) in intensities {
+            match self.saved.table.index_of(unit) {
+                Some(k) if self.saved.table.attributes[k].active => {
+                    attributes[k] = self.saved.table.attributes[k].attribute_from_intensity(value);
+                }
+                _ if value.abs() < 1e-6 => {}
+                _ => unknown.push(unit),
+            }
+        }
+        (attributes, unknown)
+    }
+
+    /// Renders `camera` with the attributes (−1..1, K of them).
+    pub fn render(&self, camera: &Camera, attributes: &[f32], reporter: &dyn Reporter) -> Result<Render> {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let count = width as usize * height as usize;
+        let outline = self.saved.head_hull_in_world.as_ref().map(|hull| Outline::of(hull, camera));
+        let mut wanted = Vec::with_capacity(count);
+        for pixel in 0..count {
+            let p = DVec2::new((pixel % width as usize) as f64 + 0.5, (pixel / width as usize) as f64 + 0.5);
+            if outline.as_ref().is_some_and(|o| !o.contains(p)) {
+                continue;
+            }
+            if let Some(direction) = camera.ray_direction(p) {
+                wanted.push((pixel, direction.as_vec3()));
+            }
+        }
+        let mut rgb = RgbImage::from_pixel(width, height, image::Rgb(BACKDROP));
+        let mut masks = vec![vec![0.0; count]; self.model.region_count()];
+        let mut depth = vec![0.0; count];
+        let origin = self.saved.space.origin(camera).as_vec3();
+        for chunk in wanted.chunks(CHUNK_RAYS) {
+            if reporter.cancelled() {
+                return Err(TrainerError::Interrupted { done: "part of a picture".to_owned() });
+            }
+            let directions: Vec<Vec3> = chunk.iter().map(|(_, d)| *d).collect();
+            let values = self.render_rays(origin, &directions, attributes);
+            let stride = 4 + masks.len();
+            for ((pixel, _), v) in chunk.iter().zip(values.chunks_exact(stride)) {
+                for c in 0..3 {
+                    rgb.as_mut()[pixel * 3 + c] = (v[c].clamp(0.0, 1.0) * 255.0).round() as u8;
+                }
+                depth[*pixel] = (f64::from(v[3]) / self.saved.space.scale) as f32;
+                for (n, mask) in masks.iter_mut().enumerate() {
+                    mask[*pixel] = 1.0 / (1.0 + (-v[4 + n]).exp());
+                }
+            }
+        }
+        Ok(Render { rgb, masks, depth })
+    }
+
+    /// RGB, depth and mask logits of each ray: `4 + N` numbers.
+    fn render_rays(&self, origin: Vec3, directions: &[Vec3], attributes: &[f32]) -> Vec<f32> {
+        let SavedModel { coarse_samples, fine_samples, spacing, space, neutral_frame, model: config, .. } = &self.saved;
+        let device = &self.device;
+        let r = directions.len();
+        let frame = Tensor::<1, Int>::from_data(TensorData::new(vec![*neutral_frame as i32], [1]), device);
+        let omega = self.model.latent_codes(frame);
+        let latent = omega.dims()[1];
+        let codes = RayCodes {
+            omega: omega.expand([r, latent]),
+            alpha: rows(attributes.to_vec(), attributes.len(), device).expand([r, attributes.len()]),
+            directions: rows(directions.iter().flat_map(|d| d.to_array()).collect(), 3, device),
+        };
+        let origins = vec![origin; r];
+        let windows = Windows::open(config);
+        let evaluate = |level, depths: &[f32]| {
+            let samples = depths.len() / r;
+            let out = self.model.evaluate(level, points(&origins, directions, depths, device), &codes, windows, false);
+            let weights = volume::weights(out.density.clone(), rows(volume::deltas(depths, samples), samples, device));
+            (out, weights)
+        };
+        let mut ray = Vec::new();
+        sampling::stratified(&mut ray, *coarse_samples, space.near as f32, space.far as f32, *spacing, None::<&mut ChaCha8Rng>);
+        let coarse = ray.repeat(r);
+        let weights = host(evaluate(Level::Coarse, &coarse).1);
+        let mut fine = Vec::with_capacity(r * (coarse_samples + fine_samples));
+        for w in weights.chunks_exact(*coarse_samples) {
+            sampling::union(&mut fine, &ray, w, *fine_samples, None::<&mut ChaCha8Rng>);
+        }
+        let (out, weights) = evaluate(Level::Fine, &fine);
+        let samples = coarse_samples + fine_samples;
+        let z = rows(fine, samples, device);
+        let depth = (weights.clone() * z).sum_dim(1);
+        let color = volume::composite(weights.clone(), out.color);
+        let masks = volume::composite(weights, out.mask_logits);
+        host(Tensor::cat(vec![color, depth, masks], 1))
+    }
+}

@@ -1,0 +1,97 @@
+//! `trainer eval`.
+
+use std::path::PathBuf;
+
+use risorius_console::{Console, Failure};
+use risorius_formats::pose_report::write_json;
+use risorius_formats::views::{View, ViewCamera, ViewList};
+
+use super::{DeviceArgs, need};
+use crate::avatar::Avatar;
+use crate::error::TrainerError;
+use crate::jobs::render::{Sink, evaluate, render, shots_of_views};
+
+/// Options of `trainer eval`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  trainer eval runs/ada --views test/views.json\n  trainer eval runs/ada\n  trainer eval runs/ada --views test/views.json --renders renders")]
+pub struct EvalArgs {
+    /// The run's folder
+    run: PathBuf,
+    /// Views with true images [default: the dataset's validation frames]
+    #[arg(long, value_name = "VIEWS.json")]
+    views: Option<PathBuf>,
+    /// Score pictures that `trainer render` made before, instead of rendering
+    #[arg(long, value_name = "DIR", requires = "views")]
+    renders: Option<PathBuf>,
+    #[command(flatten)]
+    device: DeviceArgs,
+}
+
+pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
+    need(&args.run, "a run made by `trainer fit`")?;
+    let (views, list_path) = match &args.views {
+        Some(path) => (ViewList::read(path)?, path.clone()),
+        None => validation_views(&args.run)?,
+    };
+    let folder = args.run.join("eval");
+    let renders = match &args.renders {
+        Some(renders) => renders.clone(),
+        None => {
+            let avatar = Avatar::open(&args.run, &args.device.device()?)?;
+            let with_truth = ViewList { views: views.views.iter().filter(|v| v.image.is_some()).cloned().collect() };
+            let shots = shots_of_views(&avatar, &with_truth, console);
+            let sink = Sink { folder: Some(folder.join("renders")), video: None };
+            render(&avatar, &shots, &sink, console, |_, picture| Ok(picture))?;
+            folder.join("renders")
+        }
+    };
+    let evaluation = evaluate(&views, &list_path, &renders)?;
+    write_json(folder.join("eval.json"), &evaluation)?;
+    let mut human = String::new();
+    for (kind, psnr) in &evaluation.mean_psnr_db_by_kind {
+        human += &format!("{kind:>20}  {psnr:6.2} dB\n");
+    }
+    human += &format!("{:>20}  {:6.2} dB  ({} views)", "mean PSNR", evaluation.mean_psnr_db, evaluation.views.len());
+    console.finish(&evaluation, &human);
+    Ok(())
+}
+
+/// The dataset's held-out frames as a view list: their cameras, their annotated AUs, their images.
+fn validation_views(run: &std::path::Path) -> Result<(ViewList, PathBuf), TrainerError> {
+    use risorius_formats::nerfies::{Dataset, rgb_path};
+    let manifest = risorius_formats::run::RunManifest::read(run.join("run.json"))?;
+    let saved = crate::saved::SavedModel::read(run)?;
+    let dataset = Dataset::read(&manifest.dataset)?;
+    let settings = std::fs::read_to_string(run.join("settings.toml")).unwrap_or_default();
+    let fitted = toml::from_str::<crate::FitSettings>(&settings).map_or(0, |s| s.image_scale);
+    let scale = if fitted > 0 { fitted } else { dataset.extras.as_ref().map_or(4, |e| e.default_scale) };
+    let table = &saved.table;
+    let mut views = Vec::new();
+    for id in &dataset.val_ids {
+        let Some(camera) = dataset.cameras.get(id) else { continue };
+        let number = id.parse::<u32>().ok();
+        let aus = dataset
+            .annotations
+            .iter()
+            .filter(|a| Some(a.frame) == number && a.class < table.attributes.len())
+            .map(|a| (table.attributes[a.class].unit, table.attributes[a.class].intensity_from_attribute(a.value)))
+            .collect();
+        views.push(View {
+            id: id.clone(),
+            image: Some(rgb_path("", scale, id)),
+            kind: None,
+            camera: ViewCamera::from(&camera.reduced(scale)),
+            aus,
+            depth: None,
+        });
+    }
+    if views.is_empty() {
+        return Err(TrainerError::Dataset {
+            path: manifest.dataset,
+            message: "holds no validation frames".to_owned(),
+            hint: "give views with true images: `--views VIEWS.json`".to_owned(),
+        });
+    }
+    // Images are relative to the list's file; the list stands for a file in the dataset's folder.
+    Ok((ViewList { views }, manifest.dataset.join("dataset.json")))
+}

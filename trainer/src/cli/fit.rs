@@ -1,0 +1,186 @@
+//! `trainer fit`.
+
+use std::path::PathBuf;
+
+use risorius_console::{Console, Failure};
+use serde::{Deserialize, Serialize};
+
+use super::{DeviceArgs, need, parse_duration};
+use crate::config::{FitSettings, PRESETS};
+use crate::data::TrainData;
+use crate::error::TrainerError;
+use crate::fit::{self, Limits};
+use crate::model::{ConfiesModel, region_groups};
+
+/// Options of `trainer fit`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  trainer fit datasets/ada --out runs/ada\n  trainer fit datasets/ada --out runs/ada --budget 10m\n  trainer fit datasets/ada --out runs/ada --resume\n  trainer fit datasets/ada --out runs/paper --preset paper --dry-run --json")]
+pub struct FitArgs {
+    /// The dataset's folder
+    dataset: PathBuf,
+    /// The run's folder, which appears with the first checkpoint
+    #[arg(long, value_name = "RUN")]
+    out: PathBuf,
+    /// The field to fit: confies (brick comes with a later release)
+    #[arg(long, value_name = "NAME")]
+    field: Option<String>,
+    /// Sizes and schedules: cpu, paper or tiny [default: cpu]
+    #[arg(long, value_name = "NAME")]
+    preset: Option<String>,
+    /// Wall time to spend, such as 60s or 10m; schedules are stretched to it
+    #[arg(long, value_name = "TIME", value_parser = parse_duration, conflicts_with = "steps")]
+    budget: Option<f64>,
+    /// Steps; schedules are stretched to them
+    #[arg(long, value_name = "N")]
+    steps: Option<u64>,
+    /// Seed of every random draw [default: 0]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Rays per step
+    #[arg(long, value_name = "N")]
+    rays: Option<usize>,
+    /// Image scale to fit, such as 4 [default: the dataset's]
+    #[arg(long, value_name = "S")]
+    image_scale: Option<u32>,
+    /// Go on from the newest checkpoint in RUN
+    #[arg(long)]
+    resume: bool,
+    /// Replace an existing run
+    #[arg(long, conflicts_with = "resume")]
+    force: bool,
+    /// Say what would be fitted, and its cost, without doing it
+    #[arg(long)]
+    dry_run: bool,
+    #[command(flatten)]
+    device: DeviceArgs,
+}
+
+/// `[trainer.fit]` of `risorius.toml`.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct FitFile {
+    preset: Option<String>,
+    steps: Option<u64>,
+    seed: Option<u64>,
+    rays: Option<usize>,
+    image_scale: Option<u32>,
+}
+
+/// `[trainer]` of `risorius.toml`.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct TrainerFile {
+    fit: FitFile,
+}
+
+#[derive(Serialize)]
+struct Plan<'a> {
+    parameters: usize,
+    frames: usize,
+    attributes: usize,
+    regions: usize,
+    image_scale: u32,
+    settings: &'a FitSettings,
+}
+
+pub(super) fn run(args: &FitArgs, console: &Console) -> Result<(), Failure> {
+    match args.field.as_deref().unwrap_or("confies") {
+        "confies" => {}
+        "brick" => {
+            return Err(Failure::input("the field `brick` is not built yet").with_hint("use `--field confies`"));
+        }
+        other => return Err(Failure::usage(format!("there is no field `{other}`; fields: confies, brick"))),
+    }
+    need(&args.dataset, "a dataset made by `dataset build`")?;
+    let settings = resolve(args)?;
+    settings.validate()?;
+    let device = args.device.device()?;
+    if !args.dry_run {
+        prepare_run(args)?;
+    }
+    let data = TrainData::load(&args.dataset, settings.image_scale, console)?;
+    if args.dry_run {
+        let model = ConfiesModel::new(&settings.model, &region_groups(&data.table), data.frames.len(), settings.seed, &device);
+        let plan = Plan {
+            parameters: burn::module::Module::num_params(&model),
+            frames: data.frames.len(),
+            attributes: data.table.attributes.len(),
+            regions: data.table.regions.len(),
+            image_scale: data.scale,
+            settings: &settings,
+        };
+        let human = format!(
+            "would fit {} parameters to {} frames (scale {}) in {} steps of {} rays",
+            plan.parameters, plan.frames, plan.image_scale, settings.steps, settings.rays
+        );
+        console.finish(&plan, &human);
+        return Ok(());
+    }
+    let limits = Limits { budget_secs: args.budget };
+    let summary = fit::fit(&data, &settings, limits, &args.out, args.resume, &device, console)?;
+    let human = format!(
+        "{}: {} steps in {:.0} s, {:.0} rays/s, {:.2} dB on the training rays",
+        summary.run.display(),
+        summary.steps,
+        summary.seconds,
+        summary.rays_per_sec,
+        summary.train_psnr_db
+    );
+    console.finish(&summary, &human);
+    Ok(())
+}
+
+/// Command line, then the settings of the run to resume, then `risorius.toml`, then the preset.
+fn resolve(args: &FitArgs) -> Result<FitSettings, Failure> {
+    if args.resume {
+        let path = args.out.join("settings.toml");
+        let text = std::fs::read_to_string(&path)
+            .map_err(|e| risorius_formats::FormatError::io(&path, "read", &e).with_hint("there is nothing to resume; leave out `--resume`"))?;
+        let mut settings: FitSettings = toml::from_str(&text).map_err(|e| TrainerError::Run {
+            path,
+            message: e.message().to_owned(),
+            hint: "the file is written by `trainer fit`; fit into a new folder".to_owned(),
+        })?;
+        if let Some(preset) = &args.preset
+            && *preset != settings.preset
+        {
+            return Err(Failure::input(format!("the run was begun with preset `{}`", settings.preset)).with_hint("leave out `--preset`"));
+        }
+        if let Some(steps) = args.steps {
+            settings.steps = steps;
+        }
+        return Ok(settings);
+    }
+    let file: TrainerFile = risorius_console::settings("trainer")?;
+    let file = file.fit;
+    let preset = args.preset.clone().or(file.preset).unwrap_or_else(|| PRESETS[0].to_owned());
+    let mut settings = FitSettings::preset(&preset)?;
+    if let Some(steps) = args.steps.or(file.steps) {
+        settings = settings.with_steps(steps);
+    }
+    settings.seed = args.seed.or(file.seed).unwrap_or(settings.seed);
+    settings.rays = args.rays.or(file.rays).unwrap_or(settings.rays);
+    settings.image_scale = args.image_scale.or(file.image_scale).unwrap_or(settings.image_scale);
+    Ok(settings)
+}
+
+/// Refuses to mix two fits in one folder.
+fn prepare_run(args: &FitArgs) -> Result<(), Failure> {
+    if args.resume {
+        return Ok(());
+    }
+    let taken = args.out.join("settings.toml").exists() || args.out.join("checkpoints").exists();
+    if taken && !args.force {
+        return Err(Failure::input(format!("{}: there is a run already", args.out.display()))
+            .with_hint("go on with `--resume`, or replace it with `--force`"));
+    }
+    if taken {
+        for name in ["checkpoints", "eval"] {
+            let path = args.out.join(name);
+            if path.exists() {
+                std::fs::remove_dir_all(&path).map_err(|e| risorius_formats::FormatError::io(&path, "remove", &e))?;
+            }
+        }
+    }
+    Ok(())
+}

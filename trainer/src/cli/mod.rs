@@ -1,0 +1,145 @@
+//! Glue between the command line and the library: what was typed becomes settings, results become text or JSON.
+
+mod eval;
+mod fit;
+mod render;
+mod transfer;
+
+use std::path::PathBuf;
+
+use burn::tensor::Device;
+use clap::{Parser, Subcommand};
+use risorius_console::{Common, CommonArgs, Console, Failure};
+
+use crate::error::TrainerError;
+
+/// A dataset becomes an avatar that renders any expression from any view
+#[derive(Debug, Parser)]
+#[command(name = "trainer", version, about, max_term_width = 110)]
+pub struct Cli {
+    #[command(flatten)]
+    common: CommonArgs,
+    #[command(subcommand)]
+    command: Command,
+}
+
+impl Common for Cli {
+    fn common(&self) -> &CommonArgs {
+        &self.common
+    }
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Fit an avatar to a dataset
+    Fit(fit::FitArgs),
+    /// Render views, an edited expression, an orbit
+    Render(render::RenderArgs),
+    /// Score renders against true images
+    Eval(eval::EvalArgs),
+    /// Let a second video's expressions drive the avatar
+    Transfer(transfer::TransferArgs),
+}
+
+/// Runs what was typed.
+pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
+    match &cli.command {
+        Command::Fit(args) => fit::run(args, console),
+        Command::Render(args) => render::run(args, console),
+        Command::Eval(args) => eval::run(args, console),
+        Command::Transfer(args) => transfer::run(args, console),
+    }
+}
+
+/// The device and its threads.
+#[derive(Clone, Debug, clap::Args)]
+struct DeviceArgs {
+    /// Where to compute: cpu (cuda and wgpu are not in this build)
+    #[arg(long, value_name = "NAME")]
+    device: Option<String>,
+    /// Worker threads [default: one per core]
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+}
+
+impl DeviceArgs {
+    fn device(&self) -> Result<Device, TrainerError> {
+        if let Some(threads) = self.threads {
+            crate::kernel::set_threads(threads);
+        }
+        match self.device.as_deref().unwrap_or("cpu") {
+            "cpu" => Ok(Device::flex()),
+            name @ ("cuda" | "wgpu") => Err(TrainerError::Device {
+                device: name.to_owned(),
+                message: "is not in this build".to_owned(),
+                hint: "use `--device cpu`; GPU devices come with a later release".to_owned(),
+            }),
+            name => Err(TrainerError::Device {
+                device: name.to_owned(),
+                message: "is not known".to_owned(),
+                hint: "devices: cpu, cuda, wgpu".to_owned(),
+            }),
+        }
+    }
+}
+
+/// Reads `AU12=3.5`.
+fn parse_au(text: &str) -> Result<(risorius_formats::ActionUnit, f32), String> {
+    let (unit, value) = text.split_once('=').ok_or("write it like `AU12=3.5`")?;
+    let unit = unit.trim().parse().map_err(|e: risorius_formats::FormatError| e.to_string())?;
+    let value: f32 = value.trim().parse().map_err(|_| format!("`{value}` is not a number"))?;
+    if !(0.0..=5.0).contains(&value) {
+        return Err(format!("an intensity lies between 0 and 5, found {value}"));
+    }
+    Ok((unit, value))
+}
+
+/// Reads a duration like `90s`, `10m`, `1.5h` or plain seconds.
+fn parse_duration(text: &str) -> Result<f64, String> {
+    let (number, unit) = text.find(|c: char| c.is_ascii_alphabetic()).map_or((text, "s"), |i| text.split_at(i));
+    let factor = match unit {
+        "s" => 1.0,
+        "m" | "min" => 60.0,
+        "h" => 3600.0,
+        _ => return Err(format!("`{unit}` is not a unit of time; write `90s`, `10m` or `1h`")),
+    };
+    match number.trim().parse::<f64>() {
+        Ok(n) if n.is_finite() && n > 0.0 => Ok(n * factor),
+        _ => Err(format!("`{text}` is not a duration; write `90s`, `10m` or `1h`")),
+    }
+}
+
+fn need(path: &PathBuf, what: &str) -> Result<(), TrainerError> {
+    if path.exists() {
+        return Ok(());
+    }
+    Err(risorius_formats::FormatError::new(risorius_formats::ErrorKind::Missing, "does not exist")
+        .in_file(path)
+        .with_hint(format!("this should be {what}"))
+        .into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_and_intensities_read() {
+        assert_eq!(parse_duration("90s"), Ok(90.0));
+        assert_eq!(parse_duration("1.5m"), Ok(90.0));
+        assert_eq!(parse_duration("60"), Ok(60.0));
+        for bad in ["", "s", "-1s", "5 days", "nan"] {
+            assert!(parse_duration(bad).is_err(), "{bad}");
+        }
+        assert_eq!(parse_au("AU12=3.5").unwrap(), (risorius_formats::ActionUnit(12), 3.5));
+        for bad in ["AU12", "AU12=6", "AU12=x", "=1", "12=-1"] {
+            assert!(parse_au(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        use clap::CommandFactory as _;
+        Cli::command().debug_assert();
+    }
+}

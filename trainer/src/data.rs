@@ -1,0 +1,174 @@
+//! A dataset in memory: images as bytes, one camera per frame, region labels, attributes. Rays are made on the fly
+//! (fact sheet §2.4: materialised rays would take 100 times the memory).
+
+use std::path::{Path, PathBuf};
+
+use image::RgbImage;
+use rayon::prelude::*;
+use risorius_formats::mask::LabelImage;
+use risorius_formats::nerfies::{self, Dataset, Extras};
+use risorius_formats::{AttributeTable, Camera, Reporter, hash};
+
+use crate::error::{Result, TrainerError};
+
+/// One training frame.
+#[derive(Clone, Debug)]
+pub struct TrainFrame {
+    /// Its id in the dataset.
+    pub id: String,
+    /// The camera, for the image at the scale in memory.
+    pub camera: Camera,
+    /// RGB bytes, row by row.
+    pub pixels: Vec<u8>,
+    /// Region labels, where the frame has masks.
+    pub labels: Option<Vec<u8>>,
+    /// Pixels that may be fitted, by index; `None` means all.
+    pub valid: Option<Vec<u32>>,
+    /// Pixels inside a region (and valid), by index.
+    pub region_pixels: Vec<u32>,
+    /// The attributes, −1..1; `None` when the frame has no annotation.
+    pub attributes: Option<Vec<f32>>,
+}
+
+/// A dataset ready for fitting.
+#[derive(Clone, Debug)]
+pub struct TrainData {
+    /// The dataset's folder.
+    pub dir: PathBuf,
+    /// SHA-256 over its manifest files.
+    pub sha256: String,
+    /// The frames to fit.
+    pub frames: Vec<TrainFrame>,
+    /// The attributes and regions.
+    pub table: AttributeTable,
+    /// Bounds of the scene.
+    pub dataset: Dataset,
+    /// Image scale in memory.
+    pub scale: u32,
+}
+
+impl TrainData {
+    /// Loads the training frames at `scale` (0 for the dataset's default).
+    pub fn load(dir: impl AsRef<Path>, scale: u32, reporter: &dyn Reporter) -> Result<Self> {
+        let dir = dir.as_ref();
+        let dataset = Dataset::read(dir)?;
+        let table = AttributeTable::read(dir.join("attributes.toml"))?;
+        let fail = |message: String, hint: &str| TrainerError::Dataset { path: dir.to_owned(), message, hint: hint.to_owned() };
+        if !dataset.scene.is_valid() {
+            return Err(fail("scene.json states bounds that make no sense".to_owned(), "build the dataset again; near must lie below far"));
+        }
+        if dataset.train_ids.is_empty() {
+            return Err(fail("holds no training frames".to_owned(), "see `dataset verify`"));
+        }
+        let scale = if scale > 0 { scale } else { dataset.extras.as_ref().map_or(4, |e| e.default_scale) };
+        reporter.stage("load", Some(dataset.train_ids.len() as u64));
+        let frames = dataset
+            .train_ids
+            .par_iter()
+            .map(|id| {
+                let frame = load_frame(dir, &dataset, &table, id, scale)?;
+                reporter.advance(1);
+                Ok(frame)
+            })
+            .collect::<Result<Vec<_>>>()?;
+        let manifests = ["dataset.json", "metadata.json", "scene.json", "attributes.toml", "annotations.yml"];
+        let hashes: Vec<String> = manifests.iter().filter_map(|name| hash::sha256_of_file(dir.join(name)).ok()).collect();
+        Ok(Self { dir: dir.to_owned(), sha256: hash::sha256_of_bytes(hashes.join(" ").as_bytes()), frames, table, dataset, scale })
+    }
+
+    /// Our additions to the dataset, where it is ours.
+    pub fn extras(&self) -> Option<&Extras> {
+        self.dataset.extras.as_ref()
+    }
+
+    /// Index of the most neutral frame: the smallest distance of its attributes from the capture's neutral face.
+    pub fn neutral_frame(&self) -> usize {
+        let neutral: Vec<f32> = self.table.attributes.iter().map(|a| a.neutral_attribute()).collect();
+        let distance = |f: &TrainFrame| match &f.attributes {
+            Some(a) => a.iter().zip(&neutral).map(|(a, n)| (a - n).powi(2)).sum(),
+            None => f32::INFINITY,
+        };
+        (0..self.frames.len()).min_by(|&a, &b| distance(&self.frames[a]).total_cmp(&distance(&self.frames[b]))).unwrap_or(0)
+    }
+}
+
+fn load_frame(dir: &Path, dataset: &Dataset, table: &AttributeTable, id: &str, scale: u32) -> Result<TrainFrame> {
+    let path = nerfies::rgb_path(dir, scale, id);
+    let image = read_rgb(&path)?;
+    let fail = |message: String| TrainerError::Dataset {
+        path: path.clone(),
+        message,
+        hint: "see `dataset verify`; another image scale is chosen with `--image-scale`".to_owned(),
+    };
+    let full = dataset.cameras.get(id).ok_or_else(|| fail(format!("frame `{id}` has no camera")))?;
+    let camera = full.reduced(scale);
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    if image.dimensions() != (width, height) {
+        return Err(fail(format!("is {}×{}, but its camera says {width}×{height}", image.width(), image.height())));
+    }
+    let pixel_count = width as usize * height as usize;
+    let read_labels = |path: PathBuf| -> Result<Option<Vec<u8>>> {
+        if !path.is_file() {
+            return Ok(None);
+        }
+        let labels = LabelImage::read_png(&path)?;
+        if labels.labels.len() != pixel_count {
+            return Err(fail(format!("its label image {} has another size", path.display())));
+        }
+        Ok(Some(labels.labels))
+    };
+    let labels = read_labels(nerfies::region_path(dir, scale, id))?;
+    if let Some(bad) = labels.iter().flatten().find(|&&l| usize::from(l) > table.regions.len()) {
+        return Err(fail(format!("its label image holds region {bad} of {}", table.regions.len())));
+    }
+    let valid = read_labels(nerfies::valid_path(dir, scale, id))?;
+    let is_valid = |i: usize| valid.as_ref().is_none_or(|v| v[i] > 0);
+    let region_pixels = labels
+        .as_ref()
+        .map(|l| (0..pixel_count).filter(|&i| l[i] > 0 && is_valid(i)).map(|i| i as u32).collect())
+        .unwrap_or_default();
+    let valid = valid.as_ref().map(|v| (0..pixel_count).filter(|&i| v[i] > 0).map(|i| i as u32).collect::<Vec<_>>());
+    if valid.as_ref().is_some_and(Vec::is_empty) {
+        return Err(fail("no pixel of it may be fitted".to_owned()));
+    }
+    Ok(TrainFrame {
+        id: id.to_owned(),
+        camera,
+        pixels: image.into_raw(),
+        labels,
+        valid,
+        region_pixels,
+        attributes: attributes_of(dataset, table, id),
+    })
+}
+
+/// The annotated attributes of a frame: classes that are not listed are 0 when another one is (fact sheet §3.7).
+fn attributes_of(dataset: &Dataset, table: &AttributeTable, id: &str) -> Option<Vec<f32>> {
+    let frame: u32 = id.parse().ok()?;
+    let range = annotation_range(dataset, frame);
+    if range.is_empty() {
+        return None;
+    }
+    let mut attributes = vec![0.0; table.attributes.len()];
+    for a in &dataset.annotations[range] {
+        if let Some(slot) = attributes.get_mut(a.class) {
+            *slot = a.value.clamp(-1.0, 1.0);
+        }
+    }
+    Some(attributes)
+}
+
+/// Annotations are sorted by frame by the reader of the folder.
+fn annotation_range(dataset: &Dataset, frame: u32) -> std::ops::Range<usize> {
+    let list = &dataset.annotations;
+    list.partition_point(|a| a.frame < frame)..list.partition_point(|a| a.frame <= frame)
+}
+
+/// Reads an image file as RGB.
+pub fn read_rgb(path: &Path) -> Result<RgbImage> {
+    if !path.is_file() {
+        return Err(risorius_formats::FormatError::new(risorius_formats::ErrorKind::Missing, "does not exist").in_file(path).into());
+    }
+    let image = image::open(path).map_err(|e| TrainerError::Image { path: path.to_owned(), message: e.to_string() })?;
+    Ok(image.into_rgb8())
+}

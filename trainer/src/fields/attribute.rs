@@ -1,0 +1,29 @@
+//! A: latent code to attributes, `α = tanh(A(ω))` (eq. 5; fact sheet §1.4).
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use rand::Rng;
+
+use crate::config::ModelConfig;
+use crate::mlp::{Init, Mlp, spec};
+
+/// The attribute network.
+#[derive(Module, Debug)]
+pub struct AttributeNet {
+    net: Mlp,
+}
+
+impl AttributeNet {
+    /// A fresh network for `attributes` outputs.
+    pub fn new(config: &ModelConfig, attributes: usize, rng: &mut impl Rng, device: &Device) -> Self {
+        Self { net: Mlp::new(config.latent_dims, spec(config.attribute, Some(attributes)), Init::Glorot, rng, device) }
+    }
+
+    /// α in −1..1.
+    ///
+    /// # Shapes
+    /// `omega`: `[r, latent]`, result: `[r, K]`
+    pub fn forward(&self, omega: Tensor<2>) -> Tensor<2> {
+        self.net.forward(omega).tanh()
+    }
+}

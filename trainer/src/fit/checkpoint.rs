@@ -1,0 +1,103 @@
+//! Checkpoints: weights, Adam's moments, step and time, whole or not at all, the newest two kept.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use burn::module::Module as _;
+use burn::optim::ModuleOptimizer;
+use burn::store::ModuleRecord;
+use risorius_formats::atomic::AtomicDir;
+use risorius_formats::pose_report::{json_error, write_json};
+use risorius_formats::FormatError;
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Result, TrainerError};
+use crate::model::ConfiesModel;
+
+/// Checkpoints kept.
+const KEEP: usize = 2;
+
+#[derive(Debug, Serialize, Deserialize)]
+struct CheckpointState {
+    version: u32,
+    step: u64,
+    seconds: f64,
+    dataset_sha256: String,
+}
+
+/// What a checkpoint holds.
+pub struct Loaded {
+    /// The model, with its parameters' identities.
+    pub model: ConfiesModel,
+    /// The optimiser with its moments.
+    pub optimizer: ModuleOptimizer,
+    /// The last step done.
+    pub step: u64,
+    /// Wall seconds spent until then.
+    pub seconds: f64,
+}
+
+fn failed(path: &Path, what: &str, error: &dyn std::fmt::Display) -> TrainerError {
+    TrainerError::Run {
+        path: path.to_owned(),
+        message: format!("cannot {what}: {error}"),
+        hint: "the checkpoint may be damaged; remove its folder to fall back to the one before".to_owned(),
+    }
+}
+
+/// Checkpoint folders of a run with their steps, oldest first.
+pub fn list(run: &Path) -> Vec<(u64, PathBuf)> {
+    let step = |path: &Path| path.file_name()?.to_str()?.strip_prefix("step-")?.parse().ok();
+    let entries = fs::read_dir(run.join("checkpoints")).into_iter().flatten().filter_map(std::result::Result::ok);
+    let mut found: Vec<_> = entries.filter_map(|e| Some((step(&e.path())?, e.path()))).collect();
+    found.sort();
+    found
+}
+
+/// Writes a checkpoint and removes the oldest ones.
+pub fn save(run: &Path, model: &ConfiesModel, optimizer: &ModuleOptimizer, step: u64, seconds: f64, dataset_sha256: &str) -> Result<()> {
+    let path = run.join("checkpoints").join(format!("step-{step:08}"));
+    let dir = AtomicDir::create(&path)?;
+    let weights = model.clone().into_record().into_bytes().map_err(|e| failed(&path, "pack the weights", &e))?;
+    let moments = optimizer.into_bytes().map_err(|e| failed(&path, "pack the optimiser", &e))?;
+    for (name, bytes) in [("weights.bpk", &weights), ("optimizer.bpk", &moments)] {
+        risorius_formats::atomic::write_file(dir.path().join(name), bytes)?;
+    }
+    let state = CheckpointState { version: 1, step, seconds, dataset_sha256: dataset_sha256.to_owned() };
+    write_json(dir.path().join("state.json"), &state)?;
+    dir.commit()?;
+    let all = list(run);
+    for (_, old) in &all[..all.len().saturating_sub(KEEP)] {
+        fs::remove_dir_all(old).map_err(|e| FormatError::io(old, "remove", &e))?;
+    }
+    Ok(())
+}
+
+/// Loads the newest checkpoint into a fresh model and optimiser.
+pub fn load(run: &Path, model: ConfiesModel, optimizer: ModuleOptimizer, dataset_sha256: &str) -> Result<Loaded> {
+    let Some((_, path)) = list(run).pop() else {
+        return Err(TrainerError::Run {
+            path: run.to_owned(),
+            message: "holds no checkpoint to resume".to_owned(),
+            hint: "leave out `--resume` to begin".to_owned(),
+        });
+    };
+    let read = |name: &str| {
+        let file = path.join(name);
+        fs::read(&file).map_err(|e| FormatError::io(&file, "read", &e))
+    };
+    let state: CheckpointState =
+        serde_json::from_slice(&read("state.json")?).map_err(|e| json_error(&e).in_file(path.join("state.json")))?;
+    if state.dataset_sha256 != dataset_sha256 {
+        return Err(TrainerError::Run {
+            path,
+            message: "was made from another dataset".to_owned(),
+            hint: "resume with the dataset of the run, or fit into a new folder".to_owned(),
+        });
+    }
+    let bytes = |v: Vec<u8>| burn::tensor::Bytes::from_bytes_vec(v);
+    let record = ModuleRecord::from_bytes(bytes(read("weights.bpk")?)).map_err(|e| failed(&path, "read the weights", &e))?;
+    let model = model.try_load_record(record).map_err(|e| failed(&path, "use the weights", &e))?;
+    let optimizer = optimizer.from_bytes(bytes(read("optimizer.bpk")?)).map_err(|e| failed(&path, "use the optimiser", &e))?;
+    Ok(Loaded { model, optimizer, step: state.step, seconds: state.seconds })
+}

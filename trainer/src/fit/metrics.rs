@@ -1,0 +1,116 @@
+//! `RUN/metrics.jsonl`: one line per logged step, unweighted terms.
+
+use std::fs::{File, OpenOptions};
+use std::io::{BufRead, BufReader, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use risorius_formats::{FormatError, atomic};
+use serde::{Deserialize, Serialize};
+
+use super::StepNumbers;
+use crate::error::Result;
+
+/// Steps between lines.
+const LOG_EVERY: u64 = 10;
+
+/// One line.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct MetricsLine {
+    /// The step, from 1.
+    pub step: u64,
+    /// Wall seconds since the fit began, resumed parts included.
+    pub seconds: f64,
+    /// Learning rate.
+    pub learning_rate: f64,
+    /// L_recon of the coarse level.
+    pub reconstruction_coarse: f64,
+    /// L_recon of the fine level.
+    pub reconstruction: f64,
+    /// PSNR of the step's rays, dB.
+    pub psnr_db: f64,
+    /// L_mask, both levels.
+    pub mask: f64,
+    /// L_attr, both levels.
+    pub attribute: f64,
+    /// L_lat.
+    pub latent: f64,
+}
+
+/// The open log.
+#[derive(Debug)]
+pub struct MetricsLog {
+    path: PathBuf,
+    writer: BufWriter<File>,
+}
+
+impl MetricsLog {
+    /// Opens the log to go on after `step`; lines beyond it (of a run that died after its checkpoint) are dropped.
+    pub fn open(run: &Path, step: u64) -> Result<Self> {
+        let path = run.join("metrics.jsonl");
+        let mut kept = Vec::new();
+        if let (Ok(file), true) = (File::open(&path), step > 0) {
+            for line in BufReader::new(file).lines().map_while(std::result::Result::ok) {
+                let keep = serde_json::from_str::<MetricsLine>(&line).is_ok_and(|m| m.step <= step);
+                if keep {
+                    kept.extend(line.as_bytes());
+                    kept.push(b'\n');
+                }
+            }
+        }
+        atomic::write_file(&path, &kept)?;
+        let file = OpenOptions::new().append(true).open(&path).map_err(|e| FormatError::io(&path, "open", &e))?;
+        Ok(Self { path, writer: BufWriter::new(file) })
+    }
+
+    /// Writes a line every few steps.
+    pub fn record(&mut self, step: u64, seconds: f64, learning_rate: f64, n: &StepNumbers) -> Result<()> {
+        if step % LOG_EVERY != 0 && step != 1 {
+            return Ok(());
+        }
+        let line = MetricsLine {
+            step,
+            seconds: (seconds * 1e3).round() / 1e3,
+            learning_rate,
+            reconstruction_coarse: n.reconstruction_coarse,
+            reconstruction: n.reconstruction_fine,
+            psnr_db: crate::eval::psnr_from_mse(n.reconstruction_fine),
+            mask: n.mask,
+            attribute: n.attribute,
+            latent: n.latent,
+        };
+        let fail = |e: &std::io::Error| FormatError::io(&self.path, "write", e);
+        let text = serde_json::to_string(&line).map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(&self.path))?;
+        writeln!(self.writer, "{text}").map_err(|e| fail(&e))?;
+        self.writer.flush().map_err(|e| fail(&e))?;
+        Ok(())
+    }
+
+    /// Syncs the log.
+    pub fn finish(self) -> Result<()> {
+        let Self { path, writer } = self;
+        let file = writer.into_inner().map_err(|e| FormatError::io(&path, "write", &e.into_error()))?;
+        file.sync_all().map_err(|e| FormatError::io(&path, "write", &e))?;
+        Ok(())
+    }
+}
+
+/// The mean of the last steps' errors.
+#[derive(Clone, Debug, Default)]
+pub struct Recent {
+    values: std::collections::VecDeque<f64>,
+}
+
+impl Recent {
+    /// Adds a mean squared error.
+    pub fn add(&mut self, mse: f64) {
+        self.values.push_back(mse);
+        if self.values.len() > 100 {
+            self.values.pop_front();
+        }
+    }
+
+    /// PSNR of the mean, dB.
+    pub fn psnr_db(&self) -> f64 {
+        crate::eval::psnr_from_mse(self.values.iter().sum::<f64>() / self.values.len().max(1) as f64)
+    }
+}

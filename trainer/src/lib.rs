@@ -1,0 +1,37 @@
+//! A dataset becomes an avatar: the CoNFies field fitted, rendered, evaluated and driven.
+//!
+//! ```text
+//! data ─▶ batch ─▶ sampling ─▶ model (fields) ─▶ volume ─▶ loss ─▶ fit        RUN/
+//!                                 ▲ kernel                     │ saved ─▶ avatar ─▶ jobs (render, eval, transfer)
+//! ```
+//!
+//! Names are the paper's: attribute α, region mask m, ambient slices w, deformation x', template F, uncertainty β,
+//! latent code ω. Tensors state their shapes: r rays, s samples, n = r · s, K attributes, N regions.
+
+pub mod avatar;
+pub mod batch;
+pub mod cli;
+pub mod config;
+pub mod data;
+pub mod encoding;
+pub mod error;
+pub mod eval;
+pub mod fields;
+pub mod fit;
+pub mod hull;
+pub mod jobs;
+pub mod kernel;
+pub mod loss;
+pub mod mlp;
+pub mod model;
+pub mod path;
+pub mod sampling;
+pub mod saved;
+pub mod schedule;
+pub mod se3;
+pub mod space;
+pub mod volume;
+
+pub use avatar::Avatar;
+pub use config::FitSettings;
+pub use error::{Result, TrainerError};

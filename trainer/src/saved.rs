@@ -1,0 +1,184 @@
+//! `RUN/model.safetensors` and `RUN/model.json`: the avatar as others can read it, and everything needed to render it.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use burn::module::{Module as _, ModuleMapper, ModuleVisitor, Param};
+use burn::tensor::{Device, Tensor, TensorData};
+use glam::DVec3;
+use risorius_formats::pose_report::{json_error, write_json};
+use risorius_formats::views::ViewCamera;
+use risorius_formats::{AttributeTable, Camera, FormatError, atomic};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+
+use crate::config::{FitSettings, ModelConfig, Spacing};
+use crate::data::TrainData;
+use crate::error::{Result, TrainerError};
+use crate::model::{ConfiesModel, region_groups};
+use crate::path;
+use crate::space::NetSpace;
+
+/// `RUN/model.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SavedModel {
+    /// Version of the layout.
+    pub version: u32,
+    /// The field's name.
+    pub field: String,
+    /// Network sizes.
+    pub model: ModelConfig,
+    /// Training frames, which the latent table has rows for.
+    pub frames: usize,
+    /// Coarse samples per ray.
+    pub coarse_samples: usize,
+    /// Importance samples per ray.
+    pub fine_samples: usize,
+    /// Spacing of the coarse samples.
+    pub spacing: Spacing,
+    /// The attributes with their ranges.
+    pub table: AttributeTable,
+    /// The space the networks see.
+    pub space: NetSpace,
+    /// The training frame whose latent code stands for a neutral face.
+    pub neutral_frame: usize,
+    /// Where that frame was seen from, at the size that was fitted.
+    pub default_camera: ViewCamera,
+    /// Half angles of the cone that the training cameras span around the head: sideways and up-down, radians.
+    pub orbit_rad: [f64; 2],
+    /// Corners of the head's hull, where only the head was fitted; what lies outside is painted grey.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub head_hull_in_world: Option<Vec<DVec3>>,
+}
+
+impl SavedModel {
+    /// What is to be saved of a fit.
+    pub fn describe(data: &TrainData, settings: &FitSettings, space: &NetSpace) -> Self {
+        let neutral_frame = data.neutral_frame();
+        let camera = &data.frames[neutral_frame].camera;
+        let cameras: Vec<Camera> = data.frames.iter().map(|f| f.camera).collect();
+        Self {
+            version: 1,
+            field: "confies".to_owned(),
+            model: settings.model,
+            frames: data.frames.len(),
+            coarse_samples: settings.coarse_samples,
+            fine_samples: settings.fine_samples,
+            spacing: settings.spacing,
+            table: data.table.clone(),
+            space: *space,
+            neutral_frame,
+            default_camera: ViewCamera::from(camera),
+            orbit_rad: path::spread(camera, &cameras, space.center_in_world),
+            head_hull_in_world: data.extras().and_then(|e| e.head_hull_in_world.clone()),
+        }
+    }
+
+    /// Writes both files, each whole or not at all.
+    pub fn write(&self, run: &Path, model: &ConfiesModel) -> Result<()> {
+        let mut collected = Collected::default();
+        model.visit(&mut collected);
+        let path = run.join("model.safetensors");
+        let views: Vec<(&str, TensorView<'_>)> = collected
+            .tensors
+            .iter()
+            .map(|(name, (shape, bytes))| Ok((name.as_str(), TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
+            .collect::<std::result::Result<_, safetensors::SafeTensorError>>()
+            .map_err(|e| damaged(&path, &e))?;
+        let bytes = safetensors::serialize(views, None).map_err(|e| damaged(&path, &e))?;
+        atomic::write_file(&path, &bytes)?;
+        write_json(run.join("model.json"), self)?;
+        Ok(())
+    }
+
+    /// Reads `model.json`.
+    pub fn read(run: &Path) -> Result<Self> {
+        let path = run.join("model.json");
+        let bytes = std::fs::read(&path).map_err(|e| {
+            FormatError::io(&path, "read", &e).with_hint("this folder holds no fitted avatar; make one with `trainer fit DATASET --out RUN`")
+        })?;
+        Ok(serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(&path))?)
+    }
+
+    /// Builds the model and fills in the weights of `model.safetensors`.
+    pub fn load_model(&self, run: &Path, device: &Device) -> Result<ConfiesModel> {
+        let path = run.join("model.safetensors");
+        let bytes = std::fs::read(&path).map_err(|e| FormatError::io(&path, "read", &e))?;
+        let tensors = SafeTensors::deserialize(&bytes).map_err(|e| damaged(&path, &e))?;
+        let groups = region_groups(&self.table);
+        let model = ConfiesModel::new(&self.model, &groups, self.frames, 0, device);
+        let mut filler = Filler { tensors: &tensors, path: Vec::new(), problem: None };
+        let model = model.map(&mut filler);
+        match filler.problem {
+            Some(problem) => Err(damaged(&path, &problem)),
+            None => Ok(model),
+        }
+    }
+}
+
+fn damaged(path: &Path, error: &dyn std::fmt::Display) -> TrainerError {
+    TrainerError::Run { path: path.to_owned(), message: error.to_string(), hint: "fit the avatar again, or resume its last checkpoint".to_owned() }
+}
+
+/// Gathers every parameter by its path, as little-endian bytes.
+#[derive(Default)]
+struct Collected {
+    path: Vec<String>,
+    tensors: BTreeMap<String, (Vec<usize>, Vec<u8>)>,
+}
+
+impl ModuleVisitor for Collected {
+    fn enter_module(&mut self, name: &str, _: &str) {
+        self.path.push(name.to_owned());
+    }
+
+    fn exit_module(&mut self, _: &str, _: &str) {
+        self.path.pop();
+    }
+
+    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+        let tensor = param.val();
+        let shape = tensor.dims().to_vec();
+        let bytes = crate::fit::host(tensor.detach()).iter().flat_map(|v| v.to_le_bytes()).collect();
+        self.tensors.insert(self.path.join("."), (shape, bytes));
+    }
+}
+
+/// Replaces every parameter by the stored tensor of its path.
+struct Filler<'a> {
+    tensors: &'a SafeTensors<'a>,
+    path: Vec<String>,
+    problem: Option<String>,
+}
+
+impl ModuleMapper for Filler<'_> {
+    fn enter_module(&mut self, name: &str, _: &str) {
+        self.path.push(name.to_owned());
+    }
+
+    fn exit_module(&mut self, _: &str, _: &str) {
+        self.path.pop();
+    }
+
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        let name = self.path.join(".");
+        let stored = match self.tensors.tensor(&name) {
+            Ok(t) => t,
+            Err(e) => {
+                self.problem.get_or_insert(format!("`{name}`: {e}"));
+                return param;
+            }
+        };
+        let shape = param.val().dims();
+        if stored.shape() != shape || stored.dtype() != Dtype::F32 {
+            self.problem.get_or_insert(format!("`{name}` has shape {:?}, expected {shape:?} of f32", stored.shape()));
+            return param;
+        }
+        let values: Vec<f32> = stored.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        if let Some(bad) = values.iter().find(|v| !v.is_finite()) {
+            self.problem.get_or_insert(format!("`{name}` holds {bad}"));
+        }
+        let device = param.val().device();
+        param.map(|_| Tensor::from_data(TensorData::new(values, shape), &device))
+    }
+}
