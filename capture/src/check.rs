@@ -5,9 +5,9 @@ use risorius_formats::{FrameRecord, Reporter, Take};
 use risorius_video::Reader;
 use serde::Serialize;
 
+use crate::Result;
 use crate::media;
 use crate::timing::{self, median, quantile};
-use crate::Result;
 
 /// A frame below this share of the median sharpness around it is blurred.
 const BLURRED_SHARE: f32 = 0.5;
@@ -112,8 +112,9 @@ pub fn check(take: &Take, reporter: &dyn Reporter) -> Result<CheckReport> {
         verdicts: vec![media],
     };
     let from_images = take.manifest.source == SourceKind::Images;
-    let more = [length(&report), rate(&report, from_images), dropped(&report, frames), repeated(&report), jitter(&report), sharp(&report, frames)];
-    report.verdicts.extend(more.into_iter().flatten());
+    let (rate, jitter, sharp) = (rate(&report, from_images), jitter(&report), sharp(&report, frames));
+    let times = [Some(length(&report)), rate, Some(dropped(&report, frames)), Some(repeated(&report)), jitter, sharp];
+    report.verdicts.extend(times.into_iter().flatten());
     report.verdicts.extend(exposure(&report));
     report.overall = report.verdicts.iter().map(|v| v.level).max().unwrap_or(Level::Good);
     Ok(report)
@@ -138,7 +139,8 @@ fn media_verdict(take: &Take, reporter: &dyn Reporter) -> Result<Verdict> {
     let found = match take.manifest.source {
         SourceKind::Images if path.is_dir() => {
             let reader = Reader::open(&path)?;
-            let hashes = reader.image_files().iter().map(|f| media::copy(f, None, reporter)).collect::<Result<Vec<_>>>()?;
+            let hashes =
+                reader.image_files().iter().map(|f| media::copy(f, None, reporter)).collect::<Result<Vec<_>>>()?;
             Some(media::hash_of_hashes(&hashes))
         }
         SourceKind::Video | SourceKind::Camera if path.is_file() => Some(media::copy(&path, None, reporter)?),
@@ -154,13 +156,13 @@ fn media_verdict(take: &Take, reporter: &dyn Reporter) -> Result<Verdict> {
     })
 }
 
-fn length(r: &CheckReport) -> Option<Verdict> {
+fn length(r: &CheckReport) -> Verdict {
     let text = format!("{} frames, {:.1} s", r.frame_count, r.duration_secs);
-    Some(if r.frame_count < FEW_FRAMES {
+    if r.frame_count < FEW_FRAMES {
         verdict("length", Level::Fair, format!("{text}: short; 20 s or more show every expression from several sides"))
     } else {
         verdict("length", Level::Good, text)
-    })
+    }
 }
 
 fn rate(r: &CheckReport, from_images: bool) -> Option<Verdict> {
@@ -169,20 +171,24 @@ fn rate(r: &CheckReport, from_images: bool) -> Option<Verdict> {
     }
     let text = format!("{:.2} frames/s", r.fps_measured);
     Some(if r.fps_measured < GOOD_FPS {
-        verdict("rate", Level::Fair, format!("{text}: blinks and quick lips fall between frames; record at 60 or 120 if the camera can"))
+        verdict(
+            "rate",
+            Level::Fair,
+            format!("{text}: blinks and quick lips fall between frames; record at 60 or 120 if the camera can"),
+        )
     } else {
         verdict("rate", Level::Good, text)
     })
 }
 
-fn dropped(r: &CheckReport, frames: &[FrameRecord]) -> Option<Verdict> {
+fn dropped(r: &CheckReport, frames: &[FrameRecord]) -> Verdict {
     if r.dropped_frames == 0 {
-        return Some(verdict("dropped", Level::Good, "no frames are missing"));
+        return verdict("dropped", Level::Good, "no frames are missing");
     }
     let share = r.dropped_frames as f64 / (r.dropped_frames as f64 + f64::from(r.frame_count));
     let worst = frames.iter().find(|f| f.dropped_before == r.longest_drop).map_or(0, |f| f.index.0);
     let level = if share > 0.02 || r.longest_drop > 12 { Level::Poor } else { Level::Fair };
-    Some(verdict(
+    verdict(
         "dropped",
         level,
         format!(
@@ -191,17 +197,21 @@ fn dropped(r: &CheckReport, frames: &[FrameRecord]) -> Option<Verdict> {
             100.0 * share,
             r.longest_drop
         ),
-    ))
+    )
 }
 
-fn repeated(r: &CheckReport) -> Option<Verdict> {
+fn repeated(r: &CheckReport) -> Verdict {
     let share = f64::from(r.repeated_frames) / f64::from(r.frame_count.max(1));
     let text = format!("{} frames repeat the one before ({:.1} %)", r.repeated_frames, 100.0 * share);
-    Some(match r.repeated_frames {
+    match r.repeated_frames {
         0 => verdict("repeated", Level::Good, "no frame repeats the one before"),
-        _ if share > 0.1 => verdict("repeated", Level::Poor, format!("{text}: the camera gives fewer frames than the file claims; record at its true rate")),
+        _ if share > 0.1 => verdict(
+            "repeated",
+            Level::Poor,
+            format!("{text}: the camera gives fewer frames than the file claims; record at its true rate"),
+        ),
         _ => verdict("repeated", Level::Fair, format!("{text}: more light lets the camera keep its rate")),
-    })
+    }
 }
 
 fn jitter(r: &CheckReport) -> Option<Verdict> {
@@ -209,7 +219,14 @@ fn jitter(r: &CheckReport) -> Option<Verdict> {
     let share = jitter * 1e-3 * r.fps_measured;
     let text = format!("frames come {jitter:.2} ms off their time (rms)");
     Some(if share > 0.1 {
-        verdict("jitter", Level::Fair, format!("{text}, {:.0} % of an interval: times are used as they are, but lock the frame rate if the camera can", 100.0 * share))
+        verdict(
+            "jitter",
+            Level::Fair,
+            format!(
+                "{text}, {:.0} % of an interval: times are used as they are, but lock the frame rate if the camera can",
+                100.0 * share
+            ),
+        )
     } else {
         verdict("jitter", Level::Good, text)
     })
@@ -223,7 +240,11 @@ fn sharp(r: &CheckReport, frames: &[FrameRecord]) -> Option<Verdict> {
         format!("{} frames are blurred ({:.1} %), such as {first}", r.blurred_frames, 100.0 * share)
     };
     Some(if median < SOFT {
-        verdict("sharpness", Level::Poor, format!("the pictures are soft ({median:.0}): clean the lens, focus on the eyes, add light"))
+        verdict(
+            "sharpness",
+            Level::Poor,
+            format!("the pictures are soft ({median:.0}): clean the lens, focus on the eyes, add light"),
+        )
     } else if share > 0.05 {
         verdict("sharpness", Level::Poor, format!("{}: move more slowly, or use a shorter exposure", where_to_look()))
     } else if r.blurred_frames > 0 {
@@ -234,22 +255,44 @@ fn sharp(r: &CheckReport, frames: &[FrameRecord]) -> Option<Verdict> {
 }
 
 fn exposure(r: &CheckReport) -> Vec<Verdict> {
-    let (Some(luma), Some(drift), Some(clipped)) = (r.luma_median, r.luma_drift, r.clipped_median) else { return Vec::new() };
+    let (Some(luma), Some(drift), Some(clipped)) = (r.luma_median, r.luma_drift, r.clipped_median) else {
+        return Vec::new();
+    };
     let mut out = Vec::new();
     if luma < *LUMA_RANGE.start() {
-        out.push(verdict("exposure", Level::Fair, format!("dark (mean luma {luma:.0} of 255): add light or open the exposure")));
+        out.push(verdict(
+            "exposure",
+            Level::Fair,
+            format!("dark (mean luma {luma:.0} of 255): add light or open the exposure"),
+        ));
     } else if luma > *LUMA_RANGE.end() {
-        out.push(verdict("exposure", Level::Fair, format!("bright (mean luma {luma:.0} of 255): reduce the light or the exposure")));
+        out.push(verdict(
+            "exposure",
+            Level::Fair,
+            format!("bright (mean luma {luma:.0} of 255): reduce the light or the exposure"),
+        ));
     }
     if clipped > CLIPPED {
         let percent = 100.0 * clipped;
-        out.push(verdict("exposure", Level::Fair, format!("{percent:.0} % of the pixels are black or white: softer light keeps the skin's detail")));
+        out.push(verdict(
+            "exposure",
+            Level::Fair,
+            format!("{percent:.0} % of the pixels are black or white: softer light keeps the skin's detail"),
+        ));
     }
     if drift > LUMA_DRIFT {
-        out.push(verdict("exposure", Level::Fair, format!("brightness wanders by {drift:.0} levels: lock exposure and white balance")));
+        out.push(verdict(
+            "exposure",
+            Level::Fair,
+            format!("brightness wanders by {drift:.0} levels: lock exposure and white balance"),
+        ));
     }
     if out.is_empty() {
-        out.push(verdict("exposure", Level::Good, format!("mean luma {luma:.0} of 255, {:.1} % clipped", 100.0 * clipped)));
+        out.push(verdict(
+            "exposure",
+            Level::Good,
+            format!("mean luma {luma:.0} of 255, {:.1} % clipped", 100.0 * clipped),
+        ));
     }
     out
 }

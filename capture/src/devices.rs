@@ -44,7 +44,9 @@ mod tests {
     #[test]
     fn cameras_are_listed_by_number_without_their_metadata_nodes() {
         let dir = tempfile::tempdir().unwrap();
-        for (node, name, index) in [("video10", "B\n", "0\n"), ("video2", "A\n", "0\n"), ("video3", "A\n", "1\n"), ("v4l-subdev0", "x", "0")] {
+        for (node, name, index) in
+            [("video10", "B\n", "0\n"), ("video2", "A\n", "0\n"), ("video3", "A\n", "1\n"), ("v4l-subdev0", "x", "0")]
+        {
             std::fs::create_dir(dir.path().join(node)).unwrap();
             std::fs::write(dir.path().join(node).join("name"), name).unwrap();
             std::fs::write(dir.path().join(node).join("index"), index).unwrap();

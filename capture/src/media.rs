@@ -30,7 +30,13 @@ pub(crate) fn take_video(input: &Path, dir: &Path, link: bool, reporter: &dyn Re
 }
 
 /// Puts the images of a folder into `dir/images`, or refers to the folder with `link`.
-pub(crate) fn take_images(input: &Path, files: &[PathBuf], dir: &Path, link: bool, reporter: &dyn Reporter) -> Result<Media> {
+pub(crate) fn take_images(
+    input: &Path,
+    files: &[PathBuf],
+    dir: &Path,
+    link: bool,
+    reporter: &dyn Reporter,
+) -> Result<Media> {
     let target = dir.join("images");
     if !link {
         fs::create_dir(&target).map_err(|e| FormatError::io(&target, "create the folder", &e))?;
@@ -40,7 +46,8 @@ pub(crate) fn take_images(input: &Path, files: &[PathBuf], dir: &Path, link: boo
         let to = (!link).then(|| target.join(file.file_name().unwrap_or_default()));
         hashes.push(copy(file, to.as_deref(), reporter)?);
     }
-    let path = if link { fs::canonicalize(input).map_err(|e| FormatError::io(input, "open", &e))? } else { "images".into() };
+    let path =
+        if link { fs::canonicalize(input).map_err(|e| FormatError::io(input, "open", &e))? } else { "images".into() };
     Ok(Media { path, sha256: hash_of_hashes(&hashes) })
 }
 
@@ -77,5 +84,5 @@ pub(crate) fn copy(from: &Path, to: Option<&Path>, reporter: &dyn Reporter) -> R
     if let Some((path, file)) = &target {
         file.sync_all().map_err(|e| FormatError::io(path, "write", &e))?;
     }
-    Ok(hasher.finalize().iter().map(|b| format!("{b:02x}")).collect())
+    Ok(format!("{:x}", hasher.finalize()))
 }

@@ -69,7 +69,10 @@ pub fn record(options: &RecordOptions, reporter: &dyn Reporter) -> Result<Record
     let is_folder = reader.is_image_folder();
     let images = reader.image_files().to_vec();
     if !is_folder && options.image_fps.is_some() {
-        reporter.warn(Warning::new("fps-ignored", format!("{}: the frame rate is for image folders; a video has its own times", options.input.display())));
+        reporter.warn(Warning::new(
+            "fps-ignored",
+            format!("{}: the frame rate is for image folders; a video has its own times", options.input.display()),
+        ));
     }
     let dir = AtomicDir::create(&options.out)?;
     reporter.stage("reading frames", info.frame_count_estimate);
@@ -103,7 +106,8 @@ pub fn record(options: &RecordOptions, reporter: &dyn Reporter) -> Result<Record
         return Err(CaptureError::Interrupted);
     }
     dir.commit()?;
-    let of = |pick: fn(&FrameRecord) -> Option<f32>| timing::median(&frames.iter().filter_map(pick).collect::<Vec<_>>());
+    let of =
+        |pick: fn(&FrameRecord) -> Option<f32>| timing::median(&frames.iter().filter_map(pick).collect::<Vec<_>>());
     Ok(RecordSummary {
         take: options.out.clone(),
         duration_secs: frames.last().map_or(0.0, |f| f.timestamp_nanos as f64 * 1e-9),
@@ -168,7 +172,11 @@ fn measure_all(reader: Reader, reporter: &dyn Reporter) -> Result<Pictures> {
 }
 
 /// Decodes to the end; gives how much each frame differs from the one before.
-fn decode(mut reader: Reader, sender: &mpsc::SyncSender<Frame>, reporter: &dyn Reporter) -> Result<(Vec<f32>, Option<Truncation>)> {
+fn decode(
+    mut reader: Reader,
+    sender: &mpsc::SyncSender<Frame>,
+    reporter: &dyn Reporter,
+) -> Result<(Vec<f32>, Option<Truncation>)> {
     let mut differences = Vec::new();
     let mut before: Option<Samples> = None;
     while let Some(frame) = reader.next_frame()? {
@@ -214,7 +222,8 @@ fn manifest(
     frames: &[FrameRecord],
 ) -> TakeManifest {
     let times: Vec<i64> = frames.iter().map(|f| f.timestamp_nanos).collect();
-    let name = std::path::absolute(&options.input).ok().and_then(|p| p.file_name().map(|n| n.to_string_lossy().into_owned()));
+    let name =
+        std::path::absolute(&options.input).ok().and_then(|p| p.file_name().map(|n| n.to_string_lossy().into_owned()));
     TakeManifest {
         version: TAKE_VERSION,
         subject: options.subject.clone(),

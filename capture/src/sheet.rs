@@ -40,7 +40,9 @@ pub fn write_sheet(take: &Take, path: impl AsRef<Path>) -> Result<()> {
         Ok::<(), CaptureError>(())
     })?;
     let mut bytes = std::io::Cursor::new(Vec::new());
-    sheet.write_to(&mut bytes, ImageFormat::Png).map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(path))?;
+    sheet
+        .write_to(&mut bytes, ImageFormat::Png)
+        .map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(path))?;
     atomic::write_file(path, bytes.get_ref())?;
     Ok(())
 }

@@ -37,7 +37,7 @@ pub fn quantile<T: Copy + PartialOrd>(values: &[T], q: f64) -> Option<T> {
 
 /// The intervals between frames, nanoseconds: one fewer than frames.
 pub fn intervals(timestamps_nanos: &[i64]) -> Vec<i64> {
-    timestamps_nanos.windows(2).map(|w| w[1] - w[0]).collect()
+    timestamps_nanos.windows(2).map(|w| w[1].saturating_sub(w[0])).collect()
 }
 
 /// What is usual around each interval.
@@ -80,7 +80,7 @@ pub fn jitter_nanos(timestamps_nanos: &[i64]) -> Option<f64> {
         .iter()
         .zip(&usual)
         .filter(|&(&interval, &usual)| interval as f64 <= DROP_RATIO * usual as f64)
-        .map(|(&interval, &usual)| ((interval - usual) as f64).powi(2))
+        .map(|(&interval, &usual)| (interval as f64 - usual as f64).powi(2))
         .collect();
     (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
 }
@@ -88,7 +88,9 @@ pub fn jitter_nanos(timestamps_nanos: &[i64]) -> Option<f64> {
 /// (frames − 1) / duration; 0 when there is no duration.
 pub fn measured_fps(timestamps_nanos: &[i64]) -> f64 {
     match (timestamps_nanos.first(), timestamps_nanos.last()) {
-        (Some(first), Some(last)) if last > first => (timestamps_nanos.len() - 1) as f64 * 1e9 / (last - first) as f64,
+        (Some(first), Some(last)) if last > first => {
+            (timestamps_nanos.len() - 1) as f64 * 1e9 / last.saturating_sub(*first) as f64
+        }
         _ => 0.0,
     }
 }

@@ -74,7 +74,10 @@ fn with_json_stdout_is_one_document() {
     assert_eq!((&checked["frame_count"], &checked["media_intact"]), (&10.into(), &true.into()));
     assert!(document(&["devices", "--json"], 0)["devices"].is_array());
     let failed = document(&["check", "none", "--json"], 1);
-    assert_eq!((&failed["error"]["message"], &failed["error"]["exit_status"]), (&"none: does not exist".into(), &1.into()));
+    assert_eq!(
+        (&failed["error"]["message"], &failed["error"]["exit_status"]),
+        (&"none: does not exist".into(), &1.into())
+    );
     let usage = document(&["check", "--json"], 2);
     assert_eq!(usage["error"]["exit_status"], 2);
 }
@@ -82,13 +85,21 @@ fn with_json_stdout_is_one_document() {
 #[test]
 fn wrong_usage_is_2_and_a_camera_is_not_built_yet() {
     let dir = tempfile::tempdir().unwrap();
-    for args in [&["record", "--out", "take"][..], &["record", "--input", "a", "--out", "b", "--fps", "many"], &["fly"], &[]] {
+    for args in
+        [&["record", "--out", "take"][..], &["record", "--input", "a", "--out", "b", "--fps", "many"], &["fly"], &[]]
+    {
         assert_eq!(capture(dir.path(), args).status.code(), Some(2), "{args:?}");
     }
-    let camera = capture(dir.path(), &["record", "--device", "/dev/video0", "--size", "1280x720", "--fps", "120", "--out", "take"]);
+    let camera = capture(
+        dir.path(),
+        &["record", "--device", "/dev/video0", "--size", "1280x720", "--fps", "120", "--out", "take"],
+    );
     assert_eq!(camera.status.code(), Some(1));
     let text = stderr(&camera);
-    assert!(text.starts_with("error: not built yet: ") && text.contains("hint: ") && text.contains("--input"), "{text}");
+    assert!(
+        text.starts_with("error: not built yet: ") && text.contains("hint: ") && text.contains("--input"),
+        "{text}"
+    );
     let help = capture(dir.path(), &["record", "--help"]);
     assert!(help.status.success() && stdout(&help).contains("Examples:") && stdout(&help).contains("not built yet"));
     assert!(names(dir.path()).is_empty());

@@ -27,7 +27,10 @@ fn a_take_opens_with_true_times_and_its_own_copy() {
     let take = Take::open(&out).unwrap();
     let m = &take.manifest;
     assert_eq!((m.frame_count, m.width, m.height, m.source), (40, 96, 64, SourceKind::Video));
-    assert_eq!((m.dropped_frames, m.repeated_frames, m.subject.as_str(), m.consent.as_str()), (0, 0, "Ada", "research only"));
+    assert_eq!(
+        (m.dropped_frames, m.repeated_frames, m.subject.as_str(), m.consent.as_str()),
+        (0, 0, "Ada", "research only")
+    );
     assert!((m.fps_measured - 120.0).abs() < 0.01 && (m.fps_asked.unwrap() - 120.0).abs() < 0.01);
     assert_eq!((m.media.to_str(), m.original_name.as_str()), (Some("video.mp4"), "Face.MP4"));
     assert_eq!(hash::sha256_of_file(take.media_path()).unwrap(), m.media_sha256);
@@ -66,14 +69,23 @@ fn dropped_and_repeated_frames_are_found_where_they_are() {
     let select = "-vf select='not(eq(n\\,50))*not(between(n\\,70\\,72))' -vsync vfr";
     ffmpeg(&format!("-framerate 120 -i {}/%03d.png {select} -c:v libx264 -pix_fmt yuv420p", frames.display()), &video);
     let summary = record(&options(&video, dir.path().join("take")), &Silent).unwrap();
-    assert_eq!((summary.manifest.frame_count, summary.manifest.dropped_frames, summary.manifest.repeated_frames), (96, 4, 2));
+    assert_eq!(
+        (summary.manifest.frame_count, summary.manifest.dropped_frames, summary.manifest.repeated_frames),
+        (96, 4, 2)
+    );
     let take = Take::open(dir.path().join("take")).unwrap();
-    let dropped: Vec<_> = take.frames.iter().filter(|f| f.dropped_before > 0).map(|f| (f.index.0, f.dropped_before)).collect();
+    let dropped: Vec<_> =
+        take.frames.iter().filter(|f| f.dropped_before > 0).map(|f| (f.index.0, f.dropped_before)).collect();
     let repeated: Vec<_> = take.frames.iter().filter(|f| f.repeated).map(|f| f.index.0).collect();
     assert_eq!((dropped, repeated), (vec![(50, 1), (69, 3)], vec![30, 31]));
     let report = check(&take, &Silent).unwrap();
     assert_eq!((report.dropped_frames, report.longest_drop, report.repeated_frames), (4, 3, 2));
-    assert!(report.verdicts.iter().any(|v| v.topic == "dropped" && v.level == Level::Poor && v.message.contains("before frame 69")));
+    assert!(
+        report
+            .verdicts
+            .iter()
+            .any(|v| v.topic == "dropped" && v.level == Level::Poor && v.message.contains("before frame 69"))
+    );
 }
 
 #[test]
@@ -87,7 +99,10 @@ fn a_folder_of_images_is_a_take_too() {
     let mut wanted = options(&frames, dir.path().join("take"));
     wanted.image_fps = Some(10.0);
     let summary = record(&wanted, &Silent).unwrap();
-    assert_eq!((summary.manifest.source, summary.manifest.fps_measured, summary.duration_secs), (SourceKind::Images, 10.0, 1.1));
+    assert_eq!(
+        (summary.manifest.source, summary.manifest.fps_measured, summary.duration_secs),
+        (SourceKind::Images, 10.0, 1.1)
+    );
     let take = Take::open(dir.path().join("take")).unwrap();
     assert_eq!(names(&take.media_path()).len(), 12);
     assert!(check(&take, &Silent).unwrap().media_intact);
@@ -140,7 +155,9 @@ fn blur_darkness_and_a_missing_video_are_told() {
     let take = Take::open(dir.path().join("take")).unwrap();
     let report = check(&take, &Silent).unwrap();
     assert_eq!(report.blurred_frames, 1);
-    let has = |topic: &str, words: &str| report.verdicts.iter().any(|v| v.topic == topic && v.level == Level::Fair && v.message.contains(words));
+    let has = |topic: &str, words: &str| {
+        report.verdicts.iter().any(|v| v.topic == topic && v.level == Level::Fair && v.message.contains(words))
+    };
     assert!(has("sharpness", "such as 17") && has("exposure", "dark"), "{:?}", report.verdicts);
     fs::remove_dir_all(&frames).unwrap();
     let report = check(&take, &Silent).unwrap();
@@ -155,17 +172,20 @@ fn what_is_there_is_not_replaced_unasked() {
     record(&options(&video, &out), &Silent).unwrap();
     fs::write(out.join("mark"), "").unwrap();
     assert!(matches!(record(&options(&video, &out), &Silent), Err(CaptureError::Exists { .. })));
-    let forced = |input: &Path, out: &Path| record(&RecordOptions { force: true, ..options(input, out) }, &Silent);
+    let forced = |input: &Path, out: &Path| RecordOptions { force: true, ..options(input, out) };
     // Not with the take's own video, which would be gone before it is read again.
-    assert!(matches!(forced(&out.join("video.mp4"), &out), Err(CaptureError::InputInsideOutput { .. })));
+    assert!(matches!(
+        record(&forced(&out.join("video.mp4"), &out), &Silent),
+        Err(CaptureError::InputInsideOutput { .. })
+    ));
     assert!(out.join("mark").exists());
-    forced(&video, &out).unwrap();
+    record(&forced(&video, &out), &Silent).unwrap();
     assert!(!out.join("mark").exists());
     // Not a folder that is no take.
     let precious = dir.path().join("precious");
     fs::create_dir(&precious).unwrap();
     fs::write(precious.join("thesis.txt"), "").unwrap();
-    assert!(matches!(forced(&video, &precious), Err(CaptureError::NotATake { .. })));
+    assert!(matches!(record(&forced(&video, &precious), &Silent), Err(CaptureError::NotATake { .. })));
     assert_eq!(names(dir.path()), ["precious", "take", "v.mp4"]);
 }
 

@@ -42,7 +42,7 @@ const QUEUE_PER_WORKER: usize = 2;
 
 /// Writes `rgb/`, `regions/`, `valid/` and `annotations/` for `jobs`, which stand take after take in the order of
 /// frames, and returns the contact sheet's pictures in that order.
-pub fn write_pictures(
+pub(crate) fn write_pictures(
     dir: &Path,
     inputs: &[TakeInput],
     jobs: &[Job],

@@ -20,7 +20,8 @@ pub fn write_svg(path: &Path, report: &Report) -> Result<()> {
     Ok(atomic::write_file(path, text.as_bytes())?)
 }
 
-/// The share of frames per intensity level, one panel per AU: grey before, evenly over time as a line, coloured after.
+/// The share of frames per intensity level above rest, one panel per AU: grey before, coloured after, a line for even
+/// steps in time. Level 0 stands in the caption: it would dwarf everything else.
 fn svg(report: &Report) -> Result<String, String> {
     let rows = report.attributes.len().div_ceil(COLUMNS).max(1);
     let size = (PANEL.0 * COLUMNS as u32, HEADER + PANEL.1 * rows as u32);
@@ -49,19 +50,19 @@ type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
 fn header(area: &Area<'_>, report: &Report) -> Result<(), String> {
     let title = format!(
-        "AU intensities: {} of {} frames; variation of block sizes {:.2} before, {:.2} evenly over time, {:.2} now",
+        "AU intensities of {} of {} frames. Variation of block sizes above rest: {:.2} of all, {:.2} evenly over time, {:.2} chosen",
         report.chosen,
         report.candidates,
-        report.evenness_before.coefficient_of_variation,
-        report.evenness_uniform.coefficient_of_variation,
-        report.evenness_after.coefficient_of_variation,
+        report.evenness_before.raised_variation,
+        report.evenness_uniform.raised_variation,
+        report.evenness_after.raised_variation,
     );
     let draw = |text: &str, place: (i32, i32), size: i32| {
         area.draw(&Text::new(text.to_owned(), place, ("sans-serif", size).into_font())).map_err(|e| e.to_string())
     };
     draw(&title, (12, 12), 18)?;
     draw(
-        "share of frames (%) per intensity 0–5: grey bars all usable frames, coloured bars chosen, line evenly over time",
+        "Share of frames (%) per intensity; the rest is at rest. Grey: all usable frames. Coloured: chosen. Line: evenly over time",
         (12, 38),
         14,
     )
@@ -69,21 +70,24 @@ fn header(area: &Area<'_>, report: &Report) -> Result<(), String> {
 
 fn panel(area: &Area<'_>, attribute: &AttributeReport, region: usize) -> Result<(), String> {
     let levels = attribute.histogram_before.len();
+    if levels < 2 {
+        return Ok(());
+    }
     let shares = |histogram: &[usize]| -> Vec<f64> {
         let total = histogram.iter().sum::<usize>().max(1) as f64;
         histogram.iter().map(|&c| 100.0 * c as f64 / total).collect()
     };
     let [before, uniform, after] =
         [&attribute.histogram_before, &attribute.histogram_uniform, &attribute.histogram_after].map(|h| shares(h));
-    let top = [&before, &uniform, &after].into_iter().flatten().fold(1.0f64, |m, &v| m.max(v)) * 1.05;
-    let state = if attribute.active { "" } else { " (inactive)" };
-    let step = 5.0 / (levels.max(2) - 1) as f64;
+    let top = [&before, &uniform, &after].into_iter().flat_map(|s| &s[1..]).fold(1.0f64, |m, &v| m.max(v)) * 1.05;
+    let state = if attribute.active { format!("rest {:.0} → {:.0} %", before[0], after[0]) } else { "inactive".to_owned() };
+    let step = 5.0 / (levels - 1) as f64;
     let mut chart = ChartBuilder::on(area)
-        .caption(format!("{} {}{state}", attribute.unit, attribute.name), ("sans-serif", 13))
+        .caption(format!("{} {}: {state}", attribute.unit, attribute.name), ("sans-serif", 11))
         .margin(6)
         .x_label_area_size(20)
         .y_label_area_size(32)
-        .build_cartesian_2d(-0.5 * step..5.0 + 0.5 * step, 0.0..top)
+        .build_cartesian_2d(0.5 * step..5.0 + 0.5 * step, 0.0..top)
         .map_err(|e| e.to_string())?;
     let mut mesh = chart.configure_mesh();
     mesh.disable_x_mesh()
@@ -98,11 +102,11 @@ fn panel(area: &Area<'_>, attribute: &AttributeReport, region: usize) -> Result<
             let x = level as f64 * step;
             Rectangle::new([(x + from * step, 0.0), (x + to * step, v)], colour.filled())
         };
-        values.iter().enumerate().map(bar).collect()
+        values.iter().enumerate().skip(1).map(bar).collect()
     };
     chart.draw_series(bars(&before, -0.4, 0.0, RGBColor(190, 190, 190))).map_err(|e| e.to_string())?;
     chart.draw_series(bars(&after, 0.0, 0.4, RGBColor(r, g, b))).map_err(|e| e.to_string())?;
-    let line = LineSeries::new(uniform.iter().enumerate().map(|(l, &v)| (l as f64 * step, v)), RGBColor(90, 90, 90));
+    let line = LineSeries::new(uniform.iter().enumerate().skip(1).map(|(l, &v)| (l as f64 * step, v)), RGBColor(90, 90, 90));
     chart.draw_series(line).map_err(|e| e.to_string())?;
     Ok(())
 }

@@ -48,13 +48,11 @@ pub struct Signals {
     pub window: usize,
 }
 
-/// The units of `wanted` that `track` has numbers for.
+/// The units of `wanted` that `track` has numbers for; where it never had the face, those that it has columns for.
 pub fn present_units(track: &Track, wanted: &[ActionUnit]) -> Vec<ActionUnit> {
-    let has = |unit: &ActionUnit| {
-        track
-            .unit_index(*unit)
-            .is_some_and(|i| track.rows.iter().any(|r| r.intensities.get(i).copied().flatten().is_some()))
-    };
+    let never = !track.rows.iter().any(|r| r.success);
+    let has_number = |i: usize| track.rows.iter().any(|r| r.intensities.get(i).copied().flatten().is_some());
+    let has = |unit: &ActionUnit| track.unit_index(*unit).is_some_and(|i| never || has_number(i));
     wanted.iter().copied().filter(has).collect()
 }
 

@@ -66,6 +66,8 @@ pub struct Evenness {
     pub coefficient_of_variation: f64,
     /// Mean over the AUs of the entropy over their levels, as a share of the largest possible; 1 is perfectly even.
     pub entropy: f64,
+    /// The first number over the blocks above level 0 only: the face at rest fills the others whatever is chosen.
+    pub raised_variation: f64,
     /// Blocks without a frame.
     pub empty_blocks: usize,
 }
@@ -171,25 +173,33 @@ fn histograms(levels: &[Vec<usize>], frames: &[usize], units: usize, count: usiz
 
 /// How even `histograms` are over the blocks that `reference` fills.
 pub fn evenness(histograms: &[Vec<usize>], reference: &[Vec<usize>], active: &[bool]) -> Evenness {
-    let mut sizes = Vec::new();
+    let (mut sizes, mut raised) = (Vec::new(), Vec::new());
     let mut entropies = Vec::new();
     for ((histogram, filled), _) in histograms.iter().zip(reference).zip(active).filter(|(_, active)| **active) {
-        let counts: Vec<f64> = histogram.iter().zip(filled).filter(|(_, f)| **f > 0).map(|(&c, _)| c as f64).collect();
-        let total: f64 = counts.iter().sum();
+        let blocks = histogram.iter().zip(filled).enumerate().filter(|(_, (_, f))| **f > 0);
+        let counts: Vec<(usize, f64)> = blocks.map(|(level, (&c, _))| (level, c as f64)).collect();
+        let total: f64 = counts.iter().map(|c| c.1).sum();
         if counts.len() > 1 && total > 0.0 {
-            let entropy: f64 = counts.iter().filter(|&&c| c > 0.0).map(|c| -c / total * (c / total).ln()).sum();
+            let entropy: f64 = counts.iter().filter(|c| c.1 > 0.0).map(|c| -c.1 / total * (c.1 / total).ln()).sum();
             entropies.push(entropy / (counts.len() as f64).ln());
         }
-        sizes.extend(counts);
+        sizes.extend(counts.iter().map(|c| c.1));
+        raised.extend(counts.iter().filter(|c| c.0 > 0).map(|c| c.1));
     }
+    Evenness {
+        coefficient_of_variation: variation(&sizes),
+        entropy: if entropies.is_empty() { 1.0 } else { entropies.iter().sum::<f64>() / entropies.len() as f64 },
+        raised_variation: variation(&raised),
+        empty_blocks: sizes.iter().filter(|&&s| s == 0.0).count(),
+    }
+}
+
+/// Standard deviation over mean; 0 where there is nothing.
+fn variation(sizes: &[f64]) -> f64 {
     let n = sizes.len().max(1) as f64;
     let mean = sizes.iter().sum::<f64>() / n;
     let variance = sizes.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / n;
-    Evenness {
-        coefficient_of_variation: if mean > 0.0 { variance.sqrt() / mean } else { 0.0 },
-        entropy: if entropies.is_empty() { 1.0 } else { entropies.iter().sum::<f64>() / entropies.len() as f64 },
-        empty_blocks: sizes.iter().filter(|&&s| s == 0.0).count(),
-    }
+    if mean > 0.0 { variance.sqrt() / mean } else { 0.0 }
 }
 
 #[cfg(test)]
@@ -207,6 +217,10 @@ mod tests {
         assert!((uneven.coefficient_of_variation - 0.5).abs() < 1e-12);
         let entropy = -(0.75f64.ln() * 0.75 + 0.25f64.ln() * 0.25) / 2f64.ln();
         assert!((uneven.entropy - entropy).abs() < 1e-12);
+        // Above level 0: only one block, of one size.
+        assert_eq!(uneven.raised_variation, 0.0);
+        let raised = evenness(&[vec![99, 1, 0], vec![50, 1, 4]], &reference, &[true, true]).raised_variation;
+        assert!((raised - 2f64.sqrt() / 2.0).abs() < 1e-12, "{raised}");
         assert_eq!(evenness(&[vec![9, 0, 0]], &reference[..1], &[true]).empty_blocks, 1);
     }
 }

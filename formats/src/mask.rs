@@ -32,7 +32,8 @@ impl LabelImage {
         if self.labels.is_empty() {
             return 0.0;
         }
-        self.labels.iter().filter(|&&l| l == label).count() as f64 / self.labels.len() as f64
+        let carrying: usize = self.labels.iter().map(|&l| usize::from(l == label)).sum();
+        carrying as f64 / self.labels.len() as f64
     }
 
     /// Decodes an 8-bit grey PNG.

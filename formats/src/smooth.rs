@@ -63,11 +63,15 @@ fn coefficients(window: usize, order: usize, at: usize) -> Vec<f64> {
         for _ in 0..2 {
             for q in &basis {
                 let projection: f64 = p.iter().zip(q).map(|(a, b)| a * b).sum();
-                p.iter_mut().zip(q).for_each(|(a, b)| *a -= projection * b);
+                for (a, b) in p.iter_mut().zip(q) {
+                    *a -= projection * b;
+                }
             }
         }
         let norm = p.iter().map(|a| a * a).sum::<f64>().sqrt();
-        p.iter_mut().for_each(|a| *a /= norm);
+        for a in &mut p {
+            *a /= norm;
+        }
         basis.push(p);
     }
     (0..window).map(|i| basis.iter().map(|q| q[at] * q[i]).sum()).collect()

@@ -86,7 +86,11 @@ mod tests {
 
     #[test]
     fn poses_follow_their_world() {
-        let s = Similarity { scale: 2.5, rotation: rotation_exp(DVec3::new(0.3, -0.5, 0.9)), translation: DVec3::new(1.0, 2.0, 3.0) };
+        let s = Similarity {
+            scale: 2.5,
+            rotation: rotation_exp(DVec3::new(0.3, -0.5, 0.9)),
+            translation: DVec3::new(1.0, 2.0, 3.0),
+        };
         let pose = Isometry::new(rotation_exp(DVec3::new(-0.2, 0.1, 0.4)), DVec3::new(0.5, -0.1, 4.0));
         let point = DVec3::new(0.3, 0.7, -0.2);
         let moved = s.transform_pose(&pose).transform_point(s.transform_point(point));

@@ -3,14 +3,16 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
 use risorius_formats::pose_report::PoseReport;
-use risorius_formats::{Isometry, Reporter, Take};
+use risorius_formats::{Camera, Isometry, Reporter, Take};
 use serde::Serialize;
 
 use crate::align::{Similarity, umeyama};
 use crate::error::{Result, TrackerError};
 use crate::import::MIN_CONFIDENCE;
-use crate::poses::{model, read_track};
+use crate::poses::model::{self, TakeModel};
+use crate::poses::read_track;
 use crate::quality::{self, TrackQuality};
 use crate::se3::rotation_angle;
 
@@ -62,6 +64,9 @@ pub struct PoseErrors {
     pub rotation_deg: Spread,
     /// Distance between the cameras, units of the reference.
     pub position: Spread,
+    /// How far the face landmarks move in the picture when the reference's camera takes the place of ours, pixels (mean
+    /// over the landmarks): what an error means for whoever learns from these poses.
+    pub face_shift_px: Spread,
 }
 
 /// Errors against a reference model.
@@ -80,18 +85,22 @@ pub struct ReferenceErrors {
 }
 
 /// Measures a take.
-pub fn check(take_dir: impl AsRef<Path>, reference: Option<&Reference>, reporter: &dyn Reporter) -> Result<CheckReport> {
+pub fn check(
+    take_dir: impl AsRef<Path>,
+    reference: Option<&Reference>,
+    reporter: &dyn Reporter,
+) -> Result<CheckReport> {
     let take = Take::open(take_dir)?;
     let track = quality::measure(&read_track(&take)?, take.frames.len(), MIN_CONFIDENCE);
     let path = take.pose_report_path();
     let poses = if path.is_file() || reference.is_some() { Some(PoseReport::read(&path)?) } else { None };
     let reference = match (reference, &poses) {
         (Some(reference), Some(report)) => {
-            let own = model::load(take.sparse_dir(), &take, 0, reporter)?.model.poses();
+            let own = model::load(take.sparse_dir(), &take, 0, reporter)?.model;
             let other = model::load(&reference.dir, &take, reference.first, reporter)?.model.poses();
-            Some(compare(&own, &other, &report.interpolated_runs).ok_or_else(|| TrackerError::NothingInCommon {
+            Some(compare(&own, &other, report).ok_or_else(|| TrackerError::NothingInCommon {
                 dir: reference.dir.clone(),
-                common: own.keys().filter(|f| other.contains_key(f)).count(),
+                common: own.frames.keys().filter(|f| other.contains_key(f)).count(),
             })?)
         }
         _ => None,
@@ -99,33 +108,40 @@ pub fn check(take_dir: impl AsRef<Path>, reference: Option<&Reference>, reporter
     Ok(CheckReport { track, poses, reference })
 }
 
-/// Errors of `own` against `reference` after bringing the camera centres together; `None` with fewer than 3 common frames.
-pub fn compare(
-    own: &BTreeMap<u32, Isometry>,
-    reference: &BTreeMap<u32, Isometry>,
-    interpolated_runs: &[[u32; 2]],
-) -> Option<ReferenceErrors> {
-    let common: Vec<(u32, &Isometry, &Isometry)> =
-        own.iter().filter_map(|(f, a)| reference.get(f).map(|b| (*f, a, b))).collect();
-    let centers: Vec<_> = common.iter().map(|(_, a, b)| (b.camera_center(), a.camera_center())).collect();
-    let reference_from_own: Similarity = umeyama(&centers, true)?;
-    let error = |(frame, a, b): &(u32, &Isometry, &Isometry)| {
-        let moved = reference_from_own.transform_pose(a);
+/// Errors of `own` against `reference` after bringing the camera centres of the placed frames together; `None` with fewer
+/// than 3 common frames.
+pub fn compare(own: &TakeModel, reference: &BTreeMap<u32, Isometry>, report: &PoseReport) -> Option<ReferenceErrors> {
+    let common: Vec<(Camera, Isometry, u32)> =
+        own.frames.keys().filter_map(|&f| Some((own.camera(f)?, *reference.get(&f)?, f))).collect();
+    let is_interpolated = |frame: u32| report.interpolated_runs.iter().any(|r| (r[0]..=r[1]).contains(&frame));
+    let centers: Vec<_> = common.iter().map(|(a, b, _)| (b.camera_center(), a.center())).collect();
+    // Interpolated frames are to be judged, not to decide where the worlds meet.
+    let placed = common.iter().zip(&centers).filter(|((_, _, frame), _)| !is_interpolated(*frame));
+    let placed: Vec<_> = placed.map(|(_, centers)| *centers).collect();
+    let reference_from_own: Similarity = umeyama(&placed, true).or_else(|| umeyama(&centers, true))?;
+    let error = |(a, b, frame): &(Camera, Isometry, u32)| {
+        let moved = reference_from_own.transform_pose(&a.camera_from_world);
         let angle = rotation_angle(&(moved.rotation * b.rotation.transpose())).to_degrees();
-        (*frame, angle, moved.camera_center().distance(b.camera_center()))
+        let shift = |p: &DVec3| {
+            let there = b.transform_point(reference_from_own.transform_point(*p));
+            a.intrinsics.project(there).distance(a.project(*p))
+        };
+        let face = &report.landmarks_in_world;
+        let shift_px = face.iter().map(shift).sum::<f64>() / face.len().max(1) as f64;
+        (*frame, angle, moved.camera_center().distance(b.camera_center()), shift_px)
     };
-    let errors: Vec<(u32, f64, f64)> = common.iter().map(error).collect();
-    let is_interpolated = |frame: u32| interpolated_runs.iter().any(|r| (r[0]..=r[1]).contains(&frame));
+    let errors: Vec<(u32, f64, f64, f64)> = common.iter().map(error).collect();
     let of = |keep: &dyn Fn(u32) -> bool| {
         let kept: Vec<_> = errors.iter().filter(|e| keep(e.0)).collect();
         Some(PoseErrors {
             frames: kept.len(),
             rotation_deg: Spread::of(kept.iter().map(|e| e.1).collect())?,
             position: Spread::of(kept.iter().map(|e| e.2).collect())?,
+            face_shift_px: Spread::of(kept.iter().map(|e| e.3).collect())?,
         })
     };
     let n = centers.len() as f64;
-    let mean = centers.iter().map(|c| c.0).sum::<glam::DVec3>() / n;
+    let mean = centers.iter().map(|c| c.0).sum::<DVec3>() / n;
     let camera_spread = (centers.iter().map(|c| c.0.distance_squared(mean)).sum::<f64>() / n).sqrt();
     Some(ReferenceErrors {
         all: of(&|_| true)?,
@@ -139,33 +155,81 @@ pub fn compare(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::poses::model::PlacedFrame;
     use crate::se3::{self, Twist};
-    use glam::DVec3;
+    use risorius_formats::Intrinsics;
+    use risorius_formats::pose_report::PoseMethod;
 
     fn poses() -> BTreeMap<u32, Isometry> {
         (0..40u32)
             .map(|i| {
                 let t = f64::from(i) * 0.1;
-                (i, se3::exp(Twist::from_array([0.3 * t.sin(), 0.4 * t.cos(), 0.1, t.cos(), t.sin(), 0.3 * (2.0 * t).sin()])))
+                let twist =
+                    [0.1 * t.sin(), 0.1 * t.cos(), 0.1, 0.3 * t.cos(), 0.3 * t.sin(), 4.0 + 0.1 * (2.0 * t).sin()];
+                (i, se3::exp(Twist::from_array(twist)))
             })
             .collect()
+    }
+
+    fn model(poses: &BTreeMap<u32, Isometry>) -> TakeModel {
+        let frame = |(&f, &camera_from_world)| (f, PlacedFrame { lens: 1, camera_from_world, points: vec![] });
+        TakeModel {
+            lenses: [(1, Intrinsics::pinhole(100, 100, 100.0))].into(),
+            frames: poses.iter().map(frame).collect(),
+            points: [].into(),
+        }
+    }
+
+    fn report(interpolated_runs: Vec<[u32; 2]>) -> PoseReport {
+        PoseReport {
+            method: PoseMethod::Colmap,
+            frames: 40,
+            frames_tried: 40,
+            frames_registered: 40,
+            frames_interpolated: 0,
+            registered_share: 1.0,
+            reprojection_error_px: None,
+            landmark_error_px: None,
+            head_center: DVec3::ZERO,
+            head_radius: 0.1,
+            head_depth: [3.0, 5.0],
+            near: 1.0,
+            far: 9.0,
+            background_depth: None,
+            units_per_metre: None,
+            landmarks_in_world: vec![DVec3::ZERO; 68],
+            head_hull_in_world: None,
+            interpolated_runs,
+            seconds: 0.0,
+            notes: vec![],
+        }
     }
 
     #[test]
     fn another_world_is_no_error_and_a_turned_camera_is() {
         let reference = poses();
-        let similarity = Similarity { scale: 3.0, rotation: se3::rotation_exp(DVec3::new(1.0, 0.5, -0.7)), translation: DVec3::new(4.0, 5.0, 6.0) };
-        let mut own: BTreeMap<u32, Isometry> = reference.iter().map(|(&f, p)| (f, similarity.transform_pose(p))).collect();
-        let errors = compare(&own, &reference, &[]).unwrap();
-        assert!(errors.all.rotation_deg.max < 1e-6 && errors.all.position.max < 1e-9 && (errors.scale * 3.0 - 1.0).abs() < 1e-9);
+        let rotation = se3::rotation_exp(DVec3::new(1.0, 0.5, -0.7));
+        let similarity = Similarity { scale: 3.0, rotation, translation: DVec3::new(4.0, 5.0, 6.0) };
+        let mut own: BTreeMap<u32, Isometry> =
+            reference.iter().map(|(&f, p)| (f, similarity.transform_pose(p))).collect();
+        let mut face = report(vec![]);
+        // The same face in the other world.
+        face.landmarks_in_world = vec![similarity.transform_point(DVec3::new(0.1, 0.0, 0.0)); 68];
+        let errors = compare(&model(&own), &reference, &face).unwrap();
+        assert!(errors.all.rotation_deg.max < 1e-6 && errors.all.position.max < 1e-9);
+        assert!((errors.scale * 3.0 - 1.0).abs() < 1e-9 && errors.all.face_shift_px.max < 1e-6);
         assert_eq!((errors.interpolated, errors.registered.unwrap().frames), (None, 40));
-        // A camera that turns about its own centre by 1°.
+        // A camera that turns about its own centre by 1° moves the picture by 1.75 % of the focal length.
         let turned = own[&7];
         let turn = se3::rotation_exp(DVec3::X * 1f64.to_radians());
         own.insert(7, Isometry::new(turn * turned.rotation, turn * turned.translation));
-        let errors = compare(&own, &reference, &[[7, 8]]).unwrap();
-        assert!((errors.interpolated.unwrap().rotation_deg.max - 1.0).abs() < 1e-6);
+        face.interpolated_runs = vec![[7, 8]];
+        let errors = compare(&model(&own), &reference, &face).unwrap();
+        let interpolated = errors.interpolated.unwrap();
+        assert!((interpolated.rotation_deg.max - 1.0).abs() < 1e-6);
+        assert!((interpolated.face_shift_px.max - 1.75).abs() < 0.1, "{:?}", interpolated.face_shift_px);
         assert!(errors.registered.unwrap().rotation_deg.max < 1e-6);
-        assert!(compare(&own.into_iter().take(2).collect(), &reference, &[]).is_none());
+        own.retain(|f, _| *f < 2);
+        assert!(compare(&model(&own), &reference, &face).is_none());
     }
 }

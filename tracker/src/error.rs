@@ -164,12 +164,11 @@ impl Hint for TrackerError {
         let text: Cow<'_, str> = match self {
             Self::Format(e) => return e.hint(),
             Self::Video(e) => return e.hint(),
-            Self::Cancelled { .. } => return None,
+            Self::Cancelled { .. } | Self::Encode { .. } => return None,
             Self::NoCommonFrame { .. } => {
                 "is it the table of another video? `--first-frame N` says which number the first frame has in it".into()
             }
             Self::NoValidFrame { .. } => "look at the `confidence` column; `--min-confidence` lowers the gate".into(),
-            Self::Encode { .. } => return None,
             Self::NoTrack { .. } => "import a table first: `tracker import TAKE --openface FILE.csv`".into(),
             Self::TrackLacks { hint, .. } => (*hint).into(),
             Self::NoModel { .. } => "give the folder with cameras, images and points3D as .txt or .bin".into(),

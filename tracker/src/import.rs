@@ -33,7 +33,12 @@ pub struct ImportOptions {
 impl ImportOptions {
     /// The defaults for a table.
     pub fn new(openface: impl Into<PathBuf>) -> Self {
-        Self { openface: openface.into(), first_frame: None, face: FaceChoice::default(), min_confidence: MIN_CONFIDENCE }
+        Self {
+            openface: openface.into(),
+            first_frame: None,
+            face: FaceChoice::default(),
+            min_confidence: MIN_CONFIDENCE,
+        }
     }
 }
 
@@ -70,7 +75,10 @@ pub fn import(take_dir: impl AsRef<Path>, options: &ImportOptions, reporter: &dy
     }
     let quality = quality::measure(&joined.track, take.frames.len(), 0.0);
     if quality.valid_frames == 0 {
-        return Err(TrackerError::NoValidFrame { path: options.openface.clone(), min_confidence: options.min_confidence });
+        return Err(TrackerError::NoValidFrame {
+            path: options.openface.clone(),
+            min_confidence: options.min_confidence,
+        });
     }
     warn_about_place(&joined.track, &take, camera.as_ref(), reporter);
     reporter.stage("write the track", None);
@@ -161,16 +169,28 @@ impl Joined {
             ));
         }
         if self.frames_without_row > 0 {
-            let missing = crate::quality::runs(
-                self.track.rows.iter().filter(|r| r.confidence == 0.0 && !r.success && r.landmarks.is_none()).map(|r| r.frame.0),
+            let missing = quality::runs(
+                self.track
+                    .rows
+                    .iter()
+                    .filter(|r| r.confidence == 0.0 && !r.success && r.landmarks.is_none())
+                    .map(|r| r.frame.0),
             );
-            let longest = missing.iter().max_by_key(|r| r[1] - r[0]).map_or(String::new(), |r| {
-                format!(" (longest run: {}–{})", r[0], r[1])
-            });
-            let advice = if self.frames_without_row * 10 > frames { "; is this the table of another or a shorter video?" } else { "" };
+            let longest = missing
+                .iter()
+                .max_by_key(|r| r[1] - r[0])
+                .map_or(String::new(), |r| format!(" (longest run: {}–{})", r[0], r[1]));
+            let advice = if self.frames_without_row * 10 > frames {
+                "; is this the table of another or a shorter video?"
+            } else {
+                ""
+            };
             reporter.warn(Warning::new(
                 "frames-without-row",
-                format!("{} of {frames} frames have no row and count as lost{longest}{advice}", self.frames_without_row),
+                format!(
+                    "{} of {frames} frames have no row and count as lost{longest}{advice}",
+                    self.frames_without_row
+                ),
             ));
         }
     }
@@ -219,10 +239,14 @@ fn warn_about_place(track: &Track, take: &Take, camera: Option<&TableCamera>, re
     let share = inside(width, height);
     if share < 0.9 {
         let turned = inside(height, width) > 0.99;
-        let guess = if turned { "it fits a picture turned by 90°" } else { "is it the table of another or a larger video?" };
+        let guess =
+            if turned { "it fits a picture turned by 90°" } else { "is it the table of another or a larger video?" };
         reporter.warn(Warning::new(
             "landmarks-outside",
-            format!("{:.0} % of the landmarks lie outside the take's {width}×{height} picture; {guess}", 100.0 * (1.0 - share)),
+            format!(
+                "{:.0} % of the landmarks lie outside the take's {width}×{height} picture; {guess}",
+                100.0 * (1.0 - share)
+            ),
         ));
     } else if let Some(c) = camera
         && ((c.cx / width - 0.5).abs() > 0.05 || (c.cy / height - 0.5).abs() > 0.05)

@@ -1,3 +1,5 @@
+use std::fmt::Write as _;
+
 use super::*;
 use crate::testing;
 use risorius_formats::report::Collected;
@@ -12,14 +14,22 @@ fn table(dir: &Path, frames: impl Iterator<Item = u32>) -> PathBuf {
     let mut text = String::from("frame, face_id, timestamp, confidence, success, AU12_r");
     for axis in ["x", "y"] {
         for i in 0..68 {
-            text += &format!(", {axis}_{i}");
+            write!(text, ", {axis}_{i}").unwrap();
         }
     }
     for f in frames {
-        text += &format!("\n{}, 0, {:.3}, {}, 1, {:.2}", f + 1, f64::from(f) / 30.0, if f == 3 { 0.4 } else { 0.98 }, f64::from(f) / 10.0);
+        write!(
+            text,
+            "\n{}, 0, {:.3}, {}, 1, {:.2}",
+            f + 1,
+            f64::from(f) / 30.0,
+            if f == 3 { 0.4 } else { 0.98 },
+            f64::from(f) / 10.0
+        )
+        .unwrap();
         for i in 0..136 {
             let start = if i < 68 { 20.0 } else { 30.0 };
-            text += &format!(", {:.1}", start + f64::from(i) * 0.2);
+            write!(text, ", {:.1}", start + f64::from(i) * 0.2).unwrap();
         }
     }
     std::fs::write(&path, text).unwrap();
@@ -38,7 +48,8 @@ fn rows_join_by_number_with_missing_extra_and_doubtful_ones() {
     assert_eq!((summary.frames_without_row, summary.frames_below_confidence), (2, 1));
     assert_eq!((summary.quality.valid_frames, summary.quality.lost_runs.clone()), (17, vec![[3, 3], [5, 6]]));
     assert_eq!((heard.count("rows-beyond-video"), heard.count("frames-without-row")), (1, 1));
-    let written = openface::read(take.join("track/openface.csv"), &ReadOptions::default(), &Collected::default()).unwrap();
+    let written =
+        openface::read(take.join("track/openface.csv"), &ReadOptions::default(), &Collected::default()).unwrap();
     assert_eq!(written.rows.len(), 20);
     let unit = written.unit_index(risorius_formats::ActionUnit(12)).unwrap();
     for (i, row) in written.rows.iter().enumerate() {

@@ -100,10 +100,9 @@ mod tests {
         write(&path, &track, &frames).unwrap();
         let read = ParquetReader::new(std::fs::File::open(&path).unwrap()).finish().unwrap();
         assert_eq!(read.height(), 3);
-        let au: Vec<Option<f32>> = read.column("AU12_r").unwrap().f32().unwrap().into_iter().collect();
-        assert_eq!(au, [Some(1.5), None, None]);
-        let confidence: Vec<Option<f32>> = read.column("confidence").unwrap().f32().unwrap().into_iter().collect();
-        assert_eq!(confidence, [Some(0.5), None, Some(0.5)]);
+        let f32s = |name: &str| (0..3).map(|i| read.column(name).unwrap().f32().unwrap().get(i)).collect::<Vec<_>>();
+        assert_eq!(f32s("AU12_r"), [Some(1.5), None, None]);
+        assert_eq!(f32s("confidence"), [Some(0.5), None, Some(0.5)]);
         assert_eq!(read.column("x_67").unwrap().null_count(), 3);
         assert_eq!(read.column("timestamp_nanos").unwrap().i64().unwrap().get(2), Some(14));
     }

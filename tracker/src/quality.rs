@@ -154,15 +154,16 @@ mod tests {
 
     #[test]
     fn the_noise_that_was_added_is_measured_and_steady_motion_is_not() {
-        // Twelve uniforms make a normal deviate; a plain congruential generator is random enough for that.
+        // Twelve uniforms make a normal deviate.
+        let uniform = |n: u64| {
+            let n = (n + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            let n = (n ^ (n >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+            let n = (n ^ (n >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+            ((n ^ (n >> 31)) >> 40) as f32 / (1u32 << 24) as f32
+        };
         let noise = |i: u32, k: usize| {
-            let mut state = u64::from(i) * 1000 + k as u64 + 1;
-            let mut sum = -6.0f32;
-            for _ in 0..12 {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                sum += (state >> 40) as f32 / (1u32 << 24) as f32;
-            }
-            sum * 0.6
+            let at = (u64::from(i) * 136 + k as u64) * 12;
+            0.6 * ((at..at + 12).map(uniform).sum::<f32>() - 6.0)
         };
         let quality = measure(&track(noise), 200, 0.8);
         let jitter = quality.landmark_jitter_px.unwrap();

@@ -96,7 +96,10 @@ mod tests {
     #[test]
     fn a_quarter_turn_about_an_offset_axis_moves_on_its_circle() {
         // Twist of a rotation about z through (1, 0, 0): v = −ω × p.
-        let twist = Twist { rotation: DVec3::Z * std::f64::consts::FRAC_PI_2, translation: DVec3::new(0.0, -std::f64::consts::FRAC_PI_2, 0.0) };
+        let twist = Twist {
+            rotation: DVec3::Z * std::f64::consts::FRAC_PI_2,
+            translation: DVec3::new(0.0, -std::f64::consts::FRAC_PI_2, 0.0),
+        };
         let moved = exp(twist).transform_point(DVec3::ZERO);
         assert!((moved - DVec3::new(1.0, -1.0, 0.0)).length() < 1e-12, "{moved}");
     }

@@ -14,15 +14,17 @@ use risorius_trainer::kernel::{
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Fastest of some runs, in seconds.
-fn fastest(mut run: impl FnMut()) -> f64 {
-    let mut best = f64::INFINITY;
+/// Fastest run of each of some jobs, in seconds. The jobs take turns, so that a busy spell of the machine hits all.
+fn fastest<const N: usize>(jobs: [&dyn Fn(); N]) -> [f64; N] {
+    let mut best = [f64::INFINITY; N];
     let begin = Instant::now();
-    for round in 0..20 {
-        let start = Instant::now();
-        run();
-        best = best.min(start.elapsed().as_secs_f64());
-        if round > 1 && begin.elapsed().as_secs_f64() > 2.0 {
+    for round in 0..60 {
+        for (best, job) in best.iter_mut().zip(jobs) {
+            let start = Instant::now();
+            job();
+            *best = best.min(start.elapsed().as_secs_f64());
+        }
+        if round > 1 && begin.elapsed().as_secs_f64() > 5.0 {
             break;
         }
     }
@@ -33,13 +35,21 @@ fn random(shape: [usize; 2], device: &Device) -> Tensor<2> {
     Tensor::random(shape, Distribution::Uniform(-0.2, 0.2), device)
 }
 
-/// Seconds of a forward pass without and of a forward and backward pass with autodiff.
-fn measure(inputs: &[Tensor<2>], run: impl Fn(&[Tensor<2>]) -> Tensor<2>) -> [f64; 2] {
+/// Seconds of a forward pass without and of a forward and backward pass with autodiff, fused and as the twin does it.
+fn measure(
+    inputs: &[Tensor<2>],
+    fused: impl Fn(&[Tensor<2>]) -> Tensor<2>,
+    twin: impl Fn(&[Tensor<2>]) -> Tensor<2>,
+) -> [[f64; 2]; 2] {
     let plain: Vec<_> = inputs.iter().map(|input| input.clone().inner()).collect();
     let tracked: Vec<_> = inputs.iter().map(|input| input.clone().detach().require_grad()).collect();
-    let forward = fastest(|| drop(black_box(run(&plain))));
-    let both = fastest(|| drop(black_box(run(&tracked).sum().backward())));
-    [forward, both]
+    let [fused_forward, fused_both, twin_forward, twin_both] = fastest([
+        &|| drop(black_box(fused(&plain))),
+        &|| drop(black_box(fused(&tracked).sum().backward())),
+        &|| drop(black_box(twin(&plain))),
+        &|| drop(black_box(twin(&tracked).sum().backward())),
+    ]);
+    [[fused_forward, fused_both], [twin_forward, twin_both]]
 }
 
 fn report(name: &str, rows: usize, flops: Option<f64>, [fused, plain]: [[f64; 2]; 2]) {
@@ -68,8 +78,9 @@ fn floor() -> f64 {
     let device = Device::flex();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
     let (a, b) = (random([512, 512], &device), random([512, 512], &device));
-    let run = || fastest(|| drop(black_box(a.clone().matmul(b.clone()))));
-    2.0 * 512_f64.powi(3) / pool.map_or_else(|_| run(), |pool| pool.install(run)) * 1e-9
+    let run = || fastest([&|| drop(black_box(a.clone().matmul(b.clone())))]);
+    let [seconds] = pool.map_or_else(|_| run(), |pool| pool.install(run));
+    2.0 * 512_f64.powi(3) / seconds * 1e-9
 }
 
 fn main() {
@@ -89,9 +100,12 @@ fn main() {
         ];
         for (name, inputs, spec) in dense {
             let tensors = [random([rows, inputs], &device), random([1, spec.parameter_count(inputs)], &device)];
-            let fused = measure(&tensors, |t| mlp_forward(t[0].clone(), t[1].clone().reshape([-1]), &spec));
-            let plain = measure(&tensors, |t| reference::mlp(t[0].clone(), t[1].clone().reshape([-1]), &spec));
-            report(name, rows, Some(rows as f64 * flops(&spec, inputs)), [fused, plain]);
+            let times = measure(
+                &tensors,
+                |t| mlp_forward(t[0].clone(), t[1].clone().reshape([-1]), &spec),
+                |t| reference::mlp(t[0].clone(), t[1].clone().reshape([-1]), &spec),
+            );
+            report(name, rows, Some(rows as f64 * flops(&spec, inputs)), times);
         }
         let grouped = [
             ("17 x (36+1 -> 6x64 -> 8, skip 4)", MlpSpec { depth: 6, width: 64, skip: Some(4), output: Some(8) }),
@@ -100,15 +114,20 @@ fn main() {
         for (name, spec) in grouped {
             let params = random([17, spec.parameter_count(37)], &device);
             let tensors = [random([rows, 36], &device), random([rows, 17], &device), params];
-            let [fused, plain] = [grouped_mlp_forward, reference::grouped_mlp]
-                .map(|run| measure(&tensors, |t| run(t[0].clone(), t[1].clone(), t[2].clone(), &spec)));
-            report(name, rows, Some(17.0 * rows as f64 * flops(&spec, 37)), [fused, plain]);
+            let times = measure(
+                &tensors,
+                |t| grouped_mlp_forward(t[0].clone(), t[1].clone(), t[2].clone(), &spec),
+                |t| reference::grouped_mlp(t[0].clone(), t[1].clone(), t[2].clone(), &spec),
+            );
+            report(name, rows, Some(17.0 * rows as f64 * flops(&spec, 37)), times);
         }
         let spec = EncodingSpec { bands: 0..8, window: vec![1.0; 8], identity: true };
-        let fused = |t: &[Tensor<2>]| positional_encoding(t[0].clone(), 0..8, &spec.window, true);
-        let plain = |t: &[Tensor<2>]| reference::positional_encoding(t[0].clone(), &spec);
-        let tensors = [random([rows, 3], &device)];
-        report("encoding of 3 channels, 8 bands", rows, None, [measure(&tensors, fused), measure(&tensors, plain)]);
+        let times = measure(
+            &[random([rows, 3], &device)],
+            |t| positional_encoding(t[0].clone(), 0..8, &spec.window, true),
+            |t| reference::positional_encoding(t[0].clone(), &spec),
+        );
+        report("encoding of 3 channels, 8 bands", rows, None, times);
 
         let (rays, samples) = (rows / 128, 128);
         let tensors = [
@@ -117,12 +136,13 @@ fn main() {
             random([rows, 24], &device),
         ];
         let run = |render: fn(Tensor<2>, Tensor<2>, Tensor<3>) -> (Tensor<2>, Tensor<2>)| {
-            measure(&tensors, |t| {
+            move |t: &[Tensor<2>]| {
                 let values = t[2].clone().reshape([rays, samples, 24]);
                 let (rendered, weights) = render(t[0].clone(), t[1].clone(), values);
                 Tensor::cat(vec![rendered, weights], 1)
-            })
+            }
         };
-        report("rays of 128 samples, 24 channels", rows, None, [run(composite), run(reference::composite)]);
+        let times = measure(&tensors, run(composite), run(reference::composite));
+        report("rays of 128 samples, 24 channels", rows, None, times);
     }
 }

@@ -48,8 +48,11 @@ fn check(name: &str, device: &Device, shapes: &[[usize; 2]], range: (f64, f64), 
     assert!(checked > shapes.len() * 3, "{name}: nearly all gradients are zero");
 }
 
+/// One way to compute a result.
+type Way<'a> = &'a dyn Fn(&[Tensor<2>]) -> Tensor<2>;
+
 /// Compares values and gradients of two ways to compute the same, on the same random inputs.
-fn compare(name: &str, device: &Device, shapes: &[[usize; 2]], ways: [&dyn Fn(&[Tensor<2>]) -> Tensor<2>; 2]) {
+fn compare(name: &str, device: &Device, shapes: &[[usize; 2]], ways: [Way; 2]) {
     let inputs: Vec<Tensor<2>> = shapes
         .iter()
         .map(|&shape| Tensor::random(shape, Distribution::Uniform(-0.5, 0.5), device).require_grad())
@@ -105,7 +108,7 @@ fn gradients_are_right() {
             [grouped_mlp_forward, reference::grouped_mlp]
                 .map(|run| move |t: &[Tensor<2>]| run(t[0].clone(), t[1].clone(), t[2].clone(), &spec))
                 .each_ref()
-                .map(|run| run as &dyn Fn(&[Tensor<2>]) -> Tensor<2>),
+                .map(|run| run as Way),
         );
         let shapes = [[rows, shared], [1, spec.parameter_count(shared)]];
         compare(

@@ -39,7 +39,8 @@ fn text(report: &CheckReport) -> String {
         Level::Fair => "fair",
         Level::Poor => "poor",
     };
-    let mut lines: Vec<String> = report.verdicts.iter().map(|v| format!("{}  {:<9}  {}", word(v.level), v.topic, v.message)).collect();
+    let mut lines: Vec<String> =
+        report.verdicts.iter().map(|v| format!("{}  {:<9}  {}", word(v.level), v.topic, v.message)).collect();
     lines.push(format!("overall: {}", word(report.overall)));
     lines.join("\n")
 }

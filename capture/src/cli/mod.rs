@@ -37,7 +37,10 @@ impl Common for Cli {
 /// Runs the command.
 pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     match &cli.command {
-        Command::Devices(_) => devices::run(console),
+        Command::Devices(_) => {
+            devices::run(console);
+            Ok(())
+        }
         Command::Record(args) => record::run(args, console),
         Command::Check(args) => check::run(args, console),
     }

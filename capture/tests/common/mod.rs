@@ -1,5 +1,6 @@
 //! Videos made for the tests, and the binary.
 #![allow(dead_code, reason = "each test file uses its own part")]
+#![expect(clippy::unwrap_used, clippy::print_stderr, reason = "helpers of tests")]
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -37,7 +38,8 @@ pub(crate) fn stdout(output: &Output) -> String {
 
 /// The names in a folder, hidden ones too.
 pub(crate) fn names(dir: &Path) -> Vec<String> {
-    let mut names: Vec<String> = std::fs::read_dir(dir).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    let mut names: Vec<String> =
+        std::fs::read_dir(dir).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();
     names
 }
@@ -53,6 +55,7 @@ pub(crate) fn has_ffmpeg() -> bool {
 
 /// Runs `ffmpeg` with options separated by blanks.
 pub(crate) fn ffmpeg(args: &str, out: &Path) {
-    let output = Command::new("ffmpeg").args(["-v", "error", "-y"]).args(args.split_whitespace()).arg(out).output().unwrap();
+    let output =
+        Command::new("ffmpeg").args(["-v", "error", "-y"]).args(args.split_whitespace()).arg(out).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
 }

@@ -129,10 +129,10 @@ fn summary(report: &Report, out: &Path) -> String {
         text += &format!(" ({inactive} more hardly move)");
     }
     text += &format!(
-        "\nvariation of (AU, intensity) block sizes: {:.2} before, {:.2} evenly over time, {:.2} now",
-        report.evenness_before.coefficient_of_variation,
-        report.evenness_uniform.coefficient_of_variation,
-        report.evenness_after.coefficient_of_variation
+        "\nvariation of (AU, intensity) block sizes above rest: {:.2} before, {:.2} evenly over time, {:.2} now",
+        report.evenness_before.raised_variation,
+        report.evenness_uniform.raised_variation,
+        report.evenness_after.raised_variation
     );
     text + &format!("\nlook at {}", out.join("report").join("contact_sheet.png").display())
 }

@@ -105,8 +105,8 @@ fn table(report: &Report) -> String {
     {
         let _ = writeln!(
             text,
-            "{name:>8}: variation {:.3}, entropy {:.3}, {} empty blocks",
-            e.coefficient_of_variation, e.entropy, e.empty_blocks
+            "{name:>8}: variation {:.3} ({:.3} above rest), entropy {:.3}, {} empty blocks",
+            e.coefficient_of_variation, e.raised_variation, e.entropy, e.empty_blocks
         );
     }
     let _ = writeln!(

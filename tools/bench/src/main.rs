@@ -1,2 +1,174 @@
-//! bench
-fn main() {}
+//! Measures every stage of the main job on one capture: wall time, CPU time, peak memory, and the error against the truth.
+//!
+//! The stages run as a user runs them, as processes of the release build; times on a shared machine are noisy, so compare
+//! within one run. The capture's folder has the layout that `synth` writes.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode, Stdio};
+use std::time::Instant;
+
+use clap::Parser;
+use risorius_console::{Common, CommonArgs, Console, Failure};
+use risorius_formats::FormatError;
+use serde::Serialize;
+use serde_json::Value;
+use wait4::Wait4 as _;
+
+/// Time, memory and error of every stage on one capture
+#[derive(Debug, Parser)]
+#[command(
+    name = "bench",
+    version,
+    about,
+    after_help = "Example:\n  synth --driver --out work/capture && bench --capture work/capture --work work/bench"
+)]
+struct Cli {
+    #[command(flatten)]
+    common: CommonArgs,
+    /// A capture with truth: video.mp4, openface.csv, truth_colmap/, test/views.json, driver.mp4, `driver_openface.csv`
+    #[arg(long, value_name = "DIR")]
+    capture: PathBuf,
+    /// Where takes, dataset and run go; emptied first
+    #[arg(long, value_name = "DIR")]
+    work: PathBuf,
+    /// Frames of the dataset
+    #[arg(long, default_value_t = 750)]
+    frames: u32,
+    /// Image scale of the dataset
+    #[arg(long, default_value_t = 4)]
+    scale: u32,
+    /// Time for the fit
+    #[arg(long, default_value = "10m")]
+    budget: String,
+    /// Also find the cameras with the real COLMAP and compare them with the truth
+    #[arg(long)]
+    colmap: bool,
+}
+
+impl Common for Cli {
+    fn common(&self) -> &CommonArgs {
+        &self.common
+    }
+}
+
+/// One measured stage.
+#[derive(Debug, Serialize)]
+struct Row {
+    stage: &'static str,
+    command: String,
+    wall_secs: f64,
+    cpu_secs: f64,
+    peak_mib: f64,
+    error: String,
+}
+
+fn main() -> ExitCode {
+    risorius_console::run(run)
+}
+
+fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
+    if cli.work.exists() {
+        std::fs::remove_dir_all(&cli.work).map_err(|e| FormatError::io(&cli.work, "empty", &e))?;
+    }
+    std::fs::create_dir_all(&cli.work).map_err(|e| FormatError::io(&cli.work, "create", &e))?;
+    let capture = |name: &str| path(&cli.capture.join(name));
+    let work = |name: &str| path(&cli.work.join(name));
+    let (take, dataset, avatar, driver) = (work("take"), work("dataset"), work("run"), work("driver"));
+    let (frames, scale) = (cli.frames.to_string(), cli.scale.to_string());
+    let mut bench = Bench { rows: Vec::new(), work: &cli.work, console };
+
+    bench.stage("record", "capture", &["record", "--input", &capture("video.mp4"), "--out", &take], |v| {
+        format!("{} frames", number(v, &["frame_count", "frames"]))
+    })?;
+    bench.stage("import", "tracker", &["import", &take, "--openface", &capture("openface.csv")], |_| String::new())?;
+    if cli.colmap {
+        bench.stage("poses (COLMAP)", "tracker", &["poses", &take], |_| String::new())?;
+        bench.stage("  against truth", "tracker", &["check", &take, "--reference", &capture("truth_colmap")], |v| {
+            v.get("reference").map_or_else(String::new, Value::to_string)
+        })?;
+    }
+    let model = capture("truth_colmap");
+    bench.stage("poses (model)", "tracker", &["poses", &take, "--colmap-model", &model], |v| {
+        format!("landmarks {} px", number(v, &["landmark_error_px"]))
+    })?;
+    let build = ["build", &take, "--balance", "--frames", &frames, "--scale", &scale, "--out", &dataset];
+    bench.stage("dataset", "dataset", &build, |v| format!("{} frames", number(v, &["frames", "selected"])))?;
+    bench.stage("fit", "trainer", &["fit", &dataset, "--out", &avatar, "--budget", &cli.budget], |v| {
+        format!("training rays {} dB", number(v, &["train_psnr_db"]))
+    })?;
+    let (views, renders) = (capture("test/views.json"), work("renders"));
+    bench.stage("render", "trainer", &["render", &avatar, "--views", &views, "--out", &renders], |v| {
+        format!("{} pictures", number(v, &["rendered"]))
+    })?;
+    bench.stage("eval", "trainer", &["eval", &avatar, "--views", &views, "--renders", &renders], |v| {
+        format!("mean PSNR {} dB", number(v, &["mean_psnr_db"]))
+    })?;
+    if cli.capture.join("driver.mp4").is_file() {
+        bench.stage("record driver", "capture", &["record", "--input", &capture("driver.mp4"), "--out", &driver], |_| String::new())?;
+        bench.stage("import driver", "tracker", &["import", &driver, "--openface", &capture("driver_openface.csv")], |_| String::new())?;
+        bench.stage("transfer", "trainer", &["transfer", &avatar, "--from", &driver, "--fps", "6", "--video", &work("transfer.mp4")], |v| {
+            format!("{} frames of the driver", number(v, &["driver_frames"]))
+        })?;
+    }
+
+    let mut table = "| stage | wall s | CPU s | peak MiB | result |\n|---|---|---|---|---|\n".to_owned();
+    for r in &bench.rows {
+        table += &format!("| {} | {:.1} | {:.1} | {:.0} | {} |\n", r.stage, r.wall_secs, r.cpu_secs, r.peak_mib, r.error);
+    }
+    console.finish(&bench.rows, table.trim_end());
+    Ok(())
+}
+
+struct Bench<'a> {
+    rows: Vec<Row>,
+    work: &'a Path,
+    console: &'a Console,
+}
+
+impl Bench<'_> {
+    /// Runs `program` beside this one with `--json` and turns its document into words.
+    fn stage(&mut self, stage: &'static str, program: &str, args: &[&str], words: impl Fn(&Value) -> String) -> Result<(), Failure> {
+        let command = format!("{program} {}", args.join(" "));
+        self.console.say(&command);
+        let here = std::env::current_exe().map_err(|e| FormatError::io("/proc/self/exe", "find", &e))?;
+        let started = Instant::now();
+        // A file, not a pipe: the child must never wait for this program to read.
+        let path = self.work.join("last.json");
+        let file = std::fs::File::create(&path).map_err(|e| FormatError::io(&path, "create", &e))?;
+        let mut child = Command::new(here.with_file_name(program))
+            .args(args)
+            .args(["--json", "-q"])
+            .stdout(Stdio::from(file))
+            .spawn()
+            .map_err(|e| FormatError::io(program, "start", &e).with_hint("build everything with `cargo build --release --workspace`"))?;
+        let used = child.wait4().map_err(|e| FormatError::io(program, "wait for", &e))?;
+        let wall_secs = started.elapsed().as_secs_f64();
+        let text = std::fs::read(&path).map_err(|e| FormatError::io(&path, "read", &e))?;
+        if !used.status.success() {
+            return Err(Failure::input(format!("`{command}` failed")).with_hint(String::from_utf8_lossy(&text).trim().to_owned()));
+        }
+        let document = serde_json::from_slice(&text).unwrap_or(Value::Null);
+        self.rows.push(Row {
+            stage,
+            command,
+            wall_secs,
+            cpu_secs: used.rusage.utime.as_secs_f64() + used.rusage.stime.as_secs_f64(),
+            peak_mib: used.rusage.maxrss as f64 / (1024.0 * 1024.0),
+            error: words(&document),
+        });
+        Ok(())
+    }
+}
+
+/// The first of `names` in the document, rounded.
+fn number(document: &Value, names: &[&str]) -> String {
+    match names.iter().find_map(|n| document.get(n)) {
+        Some(Value::Number(n)) if n.is_f64() => format!("{:.2}", n.as_f64().unwrap_or(f64::NAN)),
+        Some(v) => v.to_string(),
+        None => "?".to_owned(),
+    }
+}
+
+fn path(path: &Path) -> String {
+    path.to_string_lossy().into_owned()
+}

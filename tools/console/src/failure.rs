@@ -95,7 +95,10 @@ mod tests {
 
     #[test]
     fn an_error_keeps_its_place_and_hint() {
-        let error = risorius_formats::FormatError::syntax("expected a number, found `x`").in_file("a.csv").at_line(3).with_hint("fix it");
+        let error = risorius_formats::FormatError::syntax("expected a number, found `x`")
+            .in_file("a.csv")
+            .at_line(3)
+            .with_hint("fix it");
         let failure = Failure::from(error);
         assert_eq!(failure.message(), "a.csv:3: expected a number, found `x`");
         assert_eq!(failure.hint(), Some("fix it"));

@@ -158,10 +158,8 @@ impl Reporter for Console {
 
 /// `error: …`, a blank line, `hint: …`, on stderr.
 pub(crate) fn print_failure(failure: &Failure, colour: bool) {
-    let mut text = format!("{} {}\n", paint(colour, "1;31", "error:"), failure.message());
-    if let Some(hint) = failure.hint() {
-        text += &format!("\n{} {hint}\n", paint(colour, "36", "hint:"));
-    }
+    let hint = failure.hint().map_or_else(String::new, |hint| format!("\n{} {hint}\n", paint(colour, "36", "hint:")));
+    let text = format!("{} {}\n{hint}", paint(colour, "1;31", "error:"), failure.message());
     // Nobody is left to tell when stderr is closed.
     let _ = io::stderr().lock().write_all(text.as_bytes());
 }

@@ -150,7 +150,9 @@ fn end(slot: &mut Option<Stage>) {
 
 fn new_bar(name: &str, total: Option<u64>) -> ProgressBar {
     let (bar, template) = match total {
-        Some(total) => (ProgressBar::new(total), "{prefix} {bar:30} {human_pos}/{human_len} {per_sec}, {eta} left {wide_msg}"),
+        Some(total) => {
+            (ProgressBar::new(total), "{prefix} {bar:30} {human_pos}/{human_len} {per_sec}, {eta} left {wide_msg}")
+        }
         None => (ProgressBar::no_length(), "{prefix} {spinner} {human_pos} {per_sec}, {elapsed} {wide_msg}"),
     };
     let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
@@ -180,7 +182,16 @@ mod tests {
 
     fn stage(total: Option<u64>) -> Stage {
         let now = Instant::now();
-        Stage { name: "reading".into(), total, done: 0, printed: 0, begun: now, last_line: now, note: String::new(), bar: None }
+        Stage {
+            name: "reading".into(),
+            total,
+            done: 0,
+            printed: 0,
+            begun: now,
+            last_line: now,
+            note: String::new(),
+            bar: None,
+        }
     }
 
     #[test]

@@ -23,15 +23,12 @@ pub fn run<C: clap::Parser + Common>(body: impl FnOnce(&C, &Console) -> Result<(
     let _ = ctrlc::set_handler(on_interrupt);
     let console = Console::new(args.common());
     let outcome = panic::catch_unwind(AssertUnwindSafe(|| body(&args, &console)));
-    let result = match outcome {
-        Ok(result) => result,
-        Err(_) => {
-            // The hook has told the user; scripts hear it here.
-            if console.is_json() {
-                print_json(&Failure::bug(format!("this is a bug in {program}")));
-            }
-            return ExitCode::from(2);
+    let Ok(result) = outcome else {
+        // The hook has told the user; scripts hear it here.
+        if console.is_json() {
+            print_json(&Failure::bug(format!("this is a bug in {program}")));
         }
+        return ExitCode::from(2);
     };
     if let Err(failure) = &result {
         console.fail(failure);

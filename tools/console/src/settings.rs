@@ -22,7 +22,8 @@ pub fn settings<T: DeserializeOwned + Default>(table: &str) -> Result<T, Failure
 /// The same as [`settings`], starting at `dir` instead of the current folder.
 pub fn settings_from<T: DeserializeOwned + Default>(dir: &Path, table: &str) -> Result<T, Failure> {
     let Some(path) = find(dir) else { return Ok(T::default()) };
-    let text = std::fs::read_to_string(&path).map_err(|e| Failure::input(format!("{}: cannot read: {e}", path.display())))?;
+    let text =
+        std::fs::read_to_string(&path).map_err(|e| Failure::input(format!("{}: cannot read: {e}", path.display())))?;
     let fail = |e: &toml::de::Error| {
         let line = e.span().map(|s| 1 + text.bytes().take(s.start).filter(|&b| b == b'\n').count());
         let place = line.map_or_else(|| path.display().to_string(), |line| format!("{}:{line}", path.display()));

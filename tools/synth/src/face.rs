@@ -202,13 +202,18 @@ fn paint_eye(m: Vec3, base: Vec3, person: &Person, state: &FaceState) -> Vec3 {
         // The lid's fold follows the lid and fades when it closes.
         let open = (1.0 - state.strength(45)).max(0.0);
         let fold = line(over - 0.0036 * (1.0 - 0.5 * u * u), 0.0011) * step(1.15, 0.75, u.abs());
-        colour *= 1.0 - 0.40 * fold * (0.25 + 0.75 * open);
+        // Widened eyes stay clear of the brows' region.
+        let clear = step(0.0312, 0.0292, m.y);
+        colour *= 1.0 - 0.40 * clear * fold * (0.25 + 0.75 * open);
         if u.abs() < 1.0 {
             if (0.0..0.0075).contains(&over) {
-                colour = colour.lerp(person.lips, 0.12);
+                colour = colour.lerp(person.lips, 0.12 * clear);
             }
             // Lashes: a dark line above the opening, a faint one below.
-            let lash = line(over - 0.0004, 0.0021) * (0.65 + 0.35 * step(-0.6, 0.7, u));
+            let lash = step(0.0013 + 0.0005 * u, 0.0006 + 0.0005 * u, over)
+                * (0.75 + 0.25 * u.max(0.0))
+                * step(-0.0010, -0.0006, over)
+                * clear;
             colour = colour.lerp(person.hair * 0.25, 0.92 * lash);
             let rim = line(under, 0.0011) * open;
             colour = colour.lerp(person.lips * 0.6, 0.55 * rim);

@@ -73,6 +73,8 @@ fn nose(m: Vec3, mut d: f32, size: f32) -> f32 {
     let tip = Vec3::new(0.0, -0.020, 0.099 + 0.006 * size);
     d = join(d, cone(m, Vec3::new(0.0, 0.026, 0.081), tip, 0.0055, 0.0074 * size), 0.014);
     d = join(d, ellipsoid(m, tip, Vec3::new(0.0085, 0.0082, 0.0085) * size), 0.011);
+    // Fills the fold between side and wing, which rays from inside would cross twice.
+    d = join(d, ellipsoid(m, Vec3::new(0.0064, -0.0140, 0.0920), Vec3::new(0.0056, 0.0105, 0.0100) * size), 0.009);
     let wing = Vec3::new(0.0112 * size, -0.0240, 0.0935);
     d = join(d, ellipsoid(m, wing, Vec3::new(0.0062, 0.0064, 0.0088) * size), 0.009);
     d
@@ -106,7 +108,8 @@ pub(crate) fn leave(distance: impl Fn(Vec3) -> f32, from: Vec3, direction: Vec3,
     let mut outside = reach;
     let mut inside = 0.0;
     let mut t = reach;
-    for _ in 0..96 {
+    // Rays that graze the side of the nose need many steps.
+    for _ in 0..600 {
         let d = distance(from + direction * t);
         if d <= 0.0 {
             inside = t;

@@ -103,10 +103,16 @@ impl Hint for VideoError {
             Self::File(e) => return e.hint(),
             Self::Empty { .. } => "the recording or the copy of it failed; get the file again",
             Self::NotAFile { .. } => "give a video file or a folder of PNG or JPEG images",
-            Self::NotAVideo { .. } => "`ffprobe FILE` tells what it is; convert it to H.264 in MP4 with `ffmpeg -i FILE out.mp4`",
-            Self::NoIndex { .. } => "the recording or the copy was cut off; get the whole file, or repair it with a tool such as `untrunc`",
+            Self::NotAVideo { .. } => {
+                "`ffprobe FILE` tells what it is; convert it to H.264 in MP4 with `ffmpeg -i FILE out.mp4`"
+            }
+            Self::NoIndex { .. } => {
+                "the recording or the copy was cut off; get the whole file, or repair it with a tool such as `untrunc`"
+            }
             Self::NoFrames { .. } => "the file is damaged or its codec is not supported; try `ffmpeg -i FILE out.mp4`",
-            Self::EmptyFolder { .. } => "give a video file, or a folder with `.png`, `.jpg` or `.jpeg` images in the order of their names",
+            Self::EmptyFolder { .. } => {
+                "give a video file, or a folder with `.png`, `.jpg` or `.jpeg` images in the order of their names"
+            }
             Self::Image { .. } => "remove or replace this image",
             Self::SizeChanged { .. } => "all frames must have one size; remove the odd images or scale them",
             Self::FrameMissing { .. } => "the video is not the one that the tables were made for",

@@ -121,6 +121,9 @@ mod tests {
     fn names_are_ordered_as_people_do() {
         let mut names = ["f10.png", "f2.png", "a.png", "f002.png", "f1b.png", "f1.png", "f99999999999999999999999.png"];
         names.sort_by(|a, b| natural_order(a, b));
-        assert_eq!(names, ["a.png", "f1.png", "f1b.png", "f002.png", "f2.png", "f10.png", "f99999999999999999999999.png"]);
+        assert_eq!(
+            names,
+            ["a.png", "f1.png", "f1b.png", "f002.png", "f2.png", "f10.png", "f99999999999999999999999.png"]
+        );
     }
 }

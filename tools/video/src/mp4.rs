@@ -34,7 +34,8 @@ pub(crate) fn read(file: &mut File) -> io::Result<Container> {
     let mut fragments = Vec::new();
     while let Some(header) = read_header(file, position, length)? {
         match &header.name {
-            b"ftyp" | b"moov" | b"mdat" | b"free" | b"wide" | b"skip" | b"styp" | b"sidx" | b"pnot" | b"uuid" | b"moof" | b"mfra" | b"meta" => {
+            b"ftyp" | b"moov" | b"mdat" | b"free" | b"wide" | b"skip" | b"styp" | b"sidx" | b"pnot" | b"uuid"
+            | b"moof" | b"mfra" | b"meta" => {
                 is_mp4 |= matches!(&header.name, b"ftyp" | b"moov" | b"mdat");
             }
             // Anything may follow after the known boxes of an MP4 file, but not come first.
@@ -134,7 +135,7 @@ fn index(moov: &[u8], fragments: &[Vec<u8>]) -> Option<(Timeline, Orientation)> 
         append_fragment(&mut samples, fragment, track_id, defaults);
     }
     let edits = find(track, &[b"edts", b"elst"]).and_then(edits).unwrap_or_default();
-    Some((Timeline::new(samples, &edits, time_scale, movie_scale), orientation(version, tkhd)))
+    Some((Timeline::new(&samples, &edits, time_scale, movie_scale), orientation(version, tkhd)))
 }
 
 /// The display matrix of a track header: after times, duration, layer, group and volume; 16.16 fixed point.
@@ -150,7 +151,9 @@ fn is_video(track: &[u8]) -> bool {
 
 /// `stts` (durations) and `ctts` (presentation minus decoding time), as far as `stsz` has samples.
 fn samples_of_table(table: &[u8]) -> Option<Vec<Sample>> {
-    let count = find(table, &[b"stsz"]).and_then(|b| be32(b, 8)).or_else(|| find(table, &[b"stz2"]).and_then(|b| be32(b, 8)))?;
+    let count = find(table, &[b"stsz"])
+        .and_then(|b| be32(b, 8))
+        .or_else(|| find(table, &[b"stz2"]).and_then(|b| be32(b, 8)))?;
     let count = (count as usize).min(MAX_SAMPLES);
     let mut samples = Vec::new();
     let mut time = 0i64;
@@ -163,7 +166,8 @@ fn samples_of_table(table: &[u8]) -> Option<Vec<Sample>> {
             time += i64::from(duration);
         }
     }
-    let offsets = find(table, &[b"ctts"]).map(|b| pairs(b).flat_map(|(n, offset)| std::iter::repeat_n(offset as i32, n as usize)));
+    let offsets = find(table, &[b"ctts"])
+        .map(|b| pairs(b).flat_map(|(n, offset)| std::iter::repeat_n(offset as i32, n as usize)));
     for (sample, offset) in samples.iter_mut().zip(offsets.into_iter().flatten()) {
         sample.presented += i64::from(offset);
     }
@@ -201,12 +205,13 @@ fn append_fragment(samples: &mut Vec<Sample>, fragment: &[u8], track_id: u32, de
         }
         let flags = be32(tfhd, 0).unwrap_or(0);
         let skip = if flags & 1 != 0 { 8 } else { 0 } + if flags & 2 != 0 { 4 } else { 0 };
-        let default_duration = if flags & 8 != 0 { be32(tfhd, 8 + skip).unwrap_or(default_duration) } else { default_duration };
+        let default_duration =
+            if flags & 8 != 0 { be32(tfhd, 8 + skip).unwrap_or(default_duration) } else { default_duration };
         let start = find(traf, &[b"tfdt"]).and_then(full).and_then(|(version, f)| {
             if version == 1 { be64(f, 0).map(|t| t as i64) } else { be32(f, 0).map(i64::from) }
         });
         // Without `tfdt` a fragment continues where the one before ended.
-        let mut time = start.unwrap_or_else(|| samples.last().map_or(0, |s| s.presented + s.duration));
+        let mut time = start.unwrap_or_else(|| samples.last().map_or(0, |s| s.presented.saturating_add(s.duration)));
         for (_, trun) in boxes(traf).filter(|(n, _)| n == b"trun") {
             append_run(samples, trun, &mut time, default_duration);
         }
@@ -238,4 +243,78 @@ fn append_run(samples: &mut Vec<Sample>, trun: &[u8], time: &mut i64, default_du
         *time = time.checked_add(duration.into())?;
     }
     Some(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    fn read_bytes(file: &mut File, bytes: &[u8]) -> Container {
+        file.set_len(0).unwrap();
+        file.seek(SeekFrom::Start(0)).unwrap();
+        file.write_all(bytes).unwrap();
+        read(file).unwrap()
+    }
+
+    /// A file of a header and an index alone: 5 frames, reordered, trimmed by an edit.
+    fn small_file() -> Vec<u8> {
+        fn boxed(name: [u8; 4], words: &[u32], inner: &[Vec<u8>]) -> Vec<u8> {
+            let body: Vec<u8> = words.iter().flat_map(|w| w.to_be_bytes()).chain(inner.concat()).collect();
+            [&(body.len() as u32 + 8).to_be_bytes()[..], &name, &body].concat()
+        }
+        let text = |t: &[u8; 4]| u32::from_be_bytes(*t);
+        let one: u32 = 1 << 16;
+        let stbl = boxed(
+            *b"stbl",
+            &[],
+            &[
+                boxed(*b"stts", &[0, 1, 5, 10], &[]),
+                boxed(*b"ctts", &[0, 3, 1, 10, 2, 20, 2, 0], &[]),
+                boxed(*b"stsz", &[0, 9, 5], &[]),
+            ],
+        );
+        let mdia = boxed(
+            *b"mdia",
+            &[],
+            &[
+                boxed(*b"mdhd", &[0, 0, 0, 1000, 50, 0], &[]),
+                boxed(*b"hdlr", &[0, 0, text(b"vide"), 0, 0, 0], &[]),
+                boxed(*b"minf", &[], &[stbl]),
+            ],
+        );
+        let mut tkhd = vec![0, 0, 0, 7, 0, 50, 0, 0, 0, 0];
+        tkhd.extend([0, one, 0, one.wrapping_neg(), 0, 0, 0, 0, 1 << 30]);
+        let edts = boxed(*b"edts", &[], &[boxed(*b"elst", &[0, 1, 100, 20, one], &[])]);
+        let trak = boxed(*b"trak", &[], &[boxed(*b"tkhd", &tkhd, &[]), edts, mdia]);
+        let moov = boxed(*b"moov", &[], &[boxed(*b"mvhd", &[0, 0, 0, 600, 50], &[]), trak]);
+        [boxed(*b"ftyp", &[text(b"isom"), 0], &[]), moov].concat()
+    }
+
+    #[test]
+    fn an_index_is_read_by_its_letter() {
+        let Container::Indexed(timeline, orientation) = read_bytes(&mut tempfile::tempfile().unwrap(), &small_file())
+        else {
+            panic!("not read");
+        };
+        // Decoded at 0, 10, … and shown at 10, 30, 40, 30, 40; shown from 20 on.
+        assert_eq!(timeline.nanos(), [0, 0, 10_000_000, 10_000_000]);
+        assert_eq!(orientation, Orientation { mirrored: false, clockwise_degrees: 90 });
+    }
+
+    #[test]
+    fn damage_never_panics() {
+        let whole = small_file();
+        let mut file = tempfile::tempfile().unwrap();
+        for length in 0..whole.len() {
+            read_bytes(&mut file, &whole[..length]);
+        }
+        for at in 0..whole.len() {
+            for value in [0, 1, 0x7f, 0x80, 0xff] {
+                let mut bytes = whole.clone();
+                bytes[at] = value;
+                read_bytes(&mut file, &bytes);
+            }
+        }
+    }
 }

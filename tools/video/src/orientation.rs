@@ -3,7 +3,7 @@
 //! OpenCV's own turning is switched off: 4.6 with FFmpeg 5 turns by −90° where the container asks for 90°, so that
 //! phone videos would stand on their heads.
 
-use opencv::core::{self, Mat, MatTraitConst};
+use opencv::core::{self, Mat};
 
 /// Mirror left and right first, if so; then turn clockwise.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -44,7 +44,6 @@ impl Orientation {
             270 => core::ROTATE_90_COUNTERCLOCKWISE,
             _ => return Ok(()),
         };
-        debug_assert!(!picture.empty());
         core::rotate(picture, spare, code)?;
         std::mem::swap(picture, spare);
         Ok(())
@@ -61,7 +60,10 @@ mod tests {
             let o = Orientation::from_matrix(a, b, c, d);
             (o.mirrored, o.clockwise_degrees)
         };
-        assert_eq!([of(1, 0, 0, 1), of(0, 1, -1, 0), of(-1, 0, 0, -1), of(0, -1, 1, 0)], [(false, 0), (false, 90), (false, 180), (false, 270)]);
+        assert_eq!(
+            [of(1, 0, 0, 1), of(0, 1, -1, 0), of(-1, 0, 0, -1), of(0, -1, 1, 0)],
+            [(false, 0), (false, 90), (false, 180), (false, 270)]
+        );
         assert_eq!([of(-1, 0, 0, 1), of(1, 0, 0, -1)], [(true, 0), (true, 180)]);
         assert_eq!(of(0, 0, 0, 0), (false, 0));
     }

@@ -24,7 +24,7 @@ pub struct Timeline {
 }
 
 impl Timeline {
-    pub(crate) fn new(samples: Vec<Sample>, edits: &[Edit], time_scale: u32, movie_scale: u32) -> Self {
+    pub(crate) fn new(samples: &[Sample], edits: &[Edit], time_scale: u32, movie_scale: u32) -> Self {
         let mut shown: Vec<i64> = samples.iter().map(|s| s.presented).collect();
         shown.sort_unstable();
         let ticks = apply_edits(&shown, edits, time_scale, movie_scale);
@@ -71,7 +71,7 @@ fn apply_edits(shown: &[i64], edits: &[Edit], time_scale: u32, movie_scale: u32)
             let end = edit.media_time.saturating_add(length);
             let from = shown.partition_point(|&t| t < edit.media_time);
             let to = shown.partition_point(|&t| t < end);
-            out.extend(shown[from..to].iter().map(|t| start.saturating_add(t - edit.media_time)));
+            out.extend(shown[from..to].iter().map(|t| start.saturating_add(t.saturating_sub(edit.media_time))));
         }
         start = start.saturating_add(length);
     }
@@ -94,33 +94,33 @@ mod tests {
 
     #[test]
     fn reordered_samples_are_shown_in_order_from_zero() {
-        let t = Timeline::new(samples(&[20, 50, 30, 40]), &[], 1000, 1000);
+        let t = Timeline::new(&samples(&[20, 50, 30, 40]), &[], 1000, 1000);
         assert_eq!(t.nanos(), [0, 10_000_000, 20_000_000, 30_000_000]);
     }
 
     #[test]
     fn an_edit_trims_both_ends_and_an_empty_one_only_shifts() {
         let edits = [Edit { duration: 500, media_time: -1 }, Edit { duration: 2, media_time: 30 }];
-        let t = Timeline::new(samples(&[20, 30, 40, 50, 60]), &edits, 1000, 100);
+        let t = Timeline::new(&samples(&[20, 30, 40, 50, 60]), &edits, 1000, 100);
         assert_eq!(t.nanos(), [0, 10_000_000]);
     }
 
     #[test]
     fn two_edits_are_shown_one_after_the_other() {
         let edits = [Edit { duration: 20, media_time: 40 }, Edit { duration: 20, media_time: 0 }];
-        let t = Timeline::new(samples(&[0, 10, 20, 30, 40, 50]), &edits, 1000, 1000);
+        let t = Timeline::new(&samples(&[0, 10, 20, 30, 40, 50]), &edits, 1000, 1000);
         assert_eq!(t.nanos(), [0, 10_000_000, 20_000_000, 30_000_000]);
     }
 
     #[test]
     fn thirds_of_a_second_are_rounded_not_summed() {
-        let t = Timeline::new(samples(&[0, 1, 2, 3]), &[], 3, 1);
+        let t = Timeline::new(&samples(&[0, 1, 2, 3]), &[], 3, 1);
         assert_eq!(t.nanos(), [0, 333_333_333, 666_666_667, 1_000_000_000]);
     }
 
     #[test]
     fn a_dropped_frame_is_noticed_by_its_time() {
-        let t = Timeline::new(samples(&[0, 10, 20, 40]), &[], 1000, 1);
+        let t = Timeline::new(&samples(&[0, 10, 20, 40]), &[], 1000, 1);
         assert_eq!(t.locate(None, Some(0)), Some(0));
         assert_eq!(t.locate(Some(0), Some(21_000_000)), Some(2));
         assert_eq!(t.locate(Some(0), None), Some(1));

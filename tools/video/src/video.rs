@@ -88,7 +88,10 @@ impl VideoFile {
     }
 
     fn read_first(&mut self) -> Result<(), VideoError> {
-        if !self.capture.grab().unwrap_or(false) || !self.capture.retrieve_def(&mut self.bgr).unwrap_or(false) || self.bgr.empty() {
+        if !self.capture.grab().unwrap_or(false)
+            || !self.capture.retrieve_def(&mut self.bgr).unwrap_or(false)
+            || self.bgr.empty()
+        {
             return Err(VideoError::NoFrames { path: self.path.clone() });
         }
         self.first_is_waiting = true;
@@ -150,7 +153,7 @@ impl VideoFile {
         // OpenCV has no time for the last frames of a stream whose frames are reordered, and says 0.
         let msec = Some(self.get(videoio::CAP_PROP_POS_MSEC)).filter(|&m| m > self.base_msec);
         let reported = msec.map(|m| ((m - self.base_msec) * 1e6).round() as i64);
-        let following = self.last_nanos + self.interval_nanos;
+        let following = self.last_nanos.saturating_add(self.interval_nanos);
         if let Some(timeline) = &self.timeline {
             let found = timeline.locate(self.located, reported);
             self.located = found.or(self.located);
@@ -188,7 +191,7 @@ impl VideoFile {
             timeline.nanos().len() as u64
         } else {
             // Other containers only state a length, which sound may stretch a little.
-            let secs = (self.last_nanos + self.interval_nanos) as f64 * 1e-9;
+            let secs = self.last_nanos.saturating_add(self.interval_nanos) as f64 * 1e-9;
             let stated = self.stated_secs.filter(|s| s - secs > 1.0 && secs < 0.95 * s)?;
             (f64::from(self.count) * stated / secs).round() as u64
         };
@@ -228,7 +231,10 @@ pub(crate) fn silence() {
         const LEVEL: &str = "OPENCV_FFMPEG_LOGLEVEL";
         if std::env::var_os(LEVEL).is_none() {
             // -8 is FFmpeg's AV_LOG_QUIET; OpenCV reads it once, when it first touches FFmpeg.
-            #[expect(unsafe_code, reason = "the only switch OpenCV has; set once, under a lock, before FFmpeg starts its threads")]
+            #[expect(
+                unsafe_code,
+                reason = "the only switch OpenCV has; set once, under a lock, before FFmpeg starts its threads"
+            )]
             // SAFETY: Rust's own readers of the environment are locked out; nothing else here reads it from C.
             unsafe {
                 std::env::set_var(LEVEL, "-8");

@@ -23,7 +23,7 @@ use crate::video::silence;
 pub struct Writer {
     path: PathBuf,
     staging: PathBuf,
-    writer: VideoWriter,
+    encoder: VideoWriter,
     width: u32,
     height: u32,
     count: u32,
@@ -53,9 +53,16 @@ impl Writer {
         // Here the reason is known, such as a missing permission; OpenCV only says no.
         File::create(&staging).map_err(|e| FormatError::io(&path, "create", &e))?;
         match open(&staging, width.next_multiple_of(2), height.next_multiple_of(2), fps) {
-            Ok(writer) => {
-                Ok(Self { path, staging, writer, width, height, count: 0, bgr: Mat::default(), padded: Mat::default() })
-            }
+            Ok(encoder) => Ok(Self {
+                path,
+                staging,
+                encoder,
+                width,
+                height,
+                count: 0,
+                bgr: Mat::default(),
+                padded: Mat::default(),
+            }),
             Err(message) => {
                 let _ = fs::remove_file(&staging);
                 Err(fail(message))
@@ -79,10 +86,19 @@ impl Writer {
         imgproc::cvt_color_def(&rgb, &mut self.bgr, imgproc::COLOR_RGB2BGR)?;
         let (right, bottom) = ((self.width % 2) as i32, (self.height % 2) as i32);
         if right + bottom == 0 {
-            return self.writer.write(&self.bgr);
+            return self.encoder.write(&self.bgr);
         }
-        core::copy_make_border(&self.bgr, &mut self.padded, 0, bottom, 0, right, core::BORDER_REPLICATE, Scalar::default())?;
-        self.writer.write(&self.padded)
+        core::copy_make_border(
+            &self.bgr,
+            &mut self.padded,
+            0,
+            bottom,
+            0,
+            right,
+            core::BORDER_REPLICATE,
+            Scalar::default(),
+        )?;
+        self.encoder.write(&self.padded)
     }
 
     /// Completes the video and puts it in its place.
@@ -91,7 +107,7 @@ impl Writer {
         if self.count == 0 {
             return Err(fail("it has no frames".to_owned()));
         }
-        self.writer.release().map_err(|e| fail(e.message))?;
+        self.encoder.release().map_err(|e| fail(e.message))?;
         // OpenCV does not tell of a full disk: count what is there.
         let wrap = |e: std::io::Error| FormatError::io(&self.path, "write", &e);
         let mut file = File::open(&self.staging).map_err(wrap)?;
@@ -111,7 +127,7 @@ impl Writer {
 impl Drop for Writer {
     fn drop(&mut self) {
         // After `finish` the staging file is gone and both find nothing to do.
-        let _ = self.writer.release();
+        let _ = self.encoder.release();
         let _ = fs::remove_file(&self.staging);
     }
 }

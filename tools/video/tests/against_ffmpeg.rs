@@ -1,4 +1,5 @@
 //! Times, rotation and damage, compared with what the `ffmpeg` and `ffprobe` programs say. Skipped where they are absent.
+#![expect(clippy::unwrap_used, clippy::print_stderr, reason = "helpers of tests")]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -6,7 +7,9 @@ use std::process::Command;
 use risorius_video::Reader;
 
 fn has_ffmpeg() -> bool {
-    let found = ["ffmpeg", "ffprobe"].iter().all(|p| Command::new(p).arg("-version").output().is_ok_and(|o| o.status.success()));
+    let found = ["ffmpeg", "ffprobe"]
+        .iter()
+        .all(|p| Command::new(p).arg("-version").output().is_ok_and(|o| o.status.success()));
     if !found {
         eprintln!("SKIPPED: `ffmpeg` and `ffprobe` not found");
     }
@@ -14,13 +17,23 @@ fn has_ffmpeg() -> bool {
 }
 
 fn ffmpeg(args: &str, out: &Path) {
-    let output = Command::new("ffmpeg").args(["-v", "error", "-y"]).args(args.split_whitespace()).arg(out).output().unwrap();
+    let output =
+        Command::new("ffmpeg").args(["-v", "error", "-y"]).args(args.split_whitespace()).arg(out).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
 /// Seconds since the first frame, by ffprobe.
 fn true_times(path: &Path) -> Vec<f64> {
-    let args = ["-v", "error", "-select_streams", "v:0", "-show_entries", "frame=best_effort_timestamp_time", "-of", "csv=p=0"];
+    let args = [
+        "-v",
+        "error",
+        "-select_streams",
+        "v:0",
+        "-show_entries",
+        "frame=best_effort_timestamp_time",
+        "-of",
+        "csv=p=0",
+    ];
     let output = Command::new("ffprobe").args(args).arg(path).output().unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
     let times: Vec<f64> = text.lines().filter_map(|l| l.trim_end_matches(',').parse().ok()).collect();
@@ -55,7 +68,10 @@ fn times_are_those_of_ffprobe() {
     // Frames left out make the rate variable; -bf reorders frames; an edit list cuts the start off.
     let vfr = "-vf select='not(eq(mod(n\\,7)\\,3))*not(between(n\\,40\\,44))' -vsync vfr";
     ffmpeg(&format!("{source} {vfr} -c:v libx264 -bf 3"), &path("vfr.mp4"));
-    ffmpeg(&format!("{source} {vfr} -c:v libx264 -bf 3 -movflags frag_keyframe+empty_moov -g 20"), &path("fragmented.mp4"));
+    ffmpeg(
+        &format!("{source} {vfr} -c:v libx264 -bf 3 -movflags frag_keyframe+empty_moov -g 20"),
+        &path("fragmented.mp4"),
+    );
     ffmpeg(&format!("{source} {vfr} -c:v libx264 -bf 3 -use_editlist 0"), &path("no_edit.mp4"));
     ffmpeg(&format!("{source} {vfr} -c:v mpeg4"), &path("part2.mov"));
     ffmpeg(&format!("{source} -c:v libx264 -bf 2 -g 30"), &path("whole.mp4"));
@@ -63,7 +79,9 @@ fn times_are_those_of_ffprobe() {
     ffmpeg(&format!("-ss 0.7 -i {} -c copy", whole.display()), &path("trimmed.mp4"));
     ffmpeg(&format!("{source} -c:v libx264 -bf 2 -frames:v 2"), &path("two.mp4"));
     ffmpeg(&format!("{source} -c:v libx264 -bf 2 -frames:v 1"), &path("one.mp4"));
-    for name in ["vfr.mp4", "fragmented.mp4", "no_edit.mp4", "part2.mov", "whole.mp4", "trimmed.mp4", "two.mp4", "one.mp4"] {
+    for name in
+        ["vfr.mp4", "fragmented.mp4", "no_edit.mp4", "part2.mov", "whole.mp4", "trimmed.mp4", "two.mp4", "one.mp4"]
+    {
         compare(&path(name), 1e-6);
     }
     // No index is read here: OpenCV's times, the last two continued by the last interval.
@@ -73,7 +91,8 @@ fn times_are_those_of_ffprobe() {
 
 #[test]
 fn real_files_have_the_times_of_ffprobe() {
-    let shared = std::env::var_os("RISORIUS_SHARED").map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), PathBuf::from);
+    let shared = std::env::var_os("RISORIUS_SHARED")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), PathBuf::from);
     let folder = shared.join("data/video");
     let Ok(entries) = std::fs::read_dir(&folder) else {
         eprintln!("SKIPPED: {} not found", folder.display());
@@ -82,10 +101,15 @@ fn real_files_have_the_times_of_ffprobe() {
     if !has_ffmpeg() {
         return;
     }
-    let mut files: Vec<PathBuf> = entries.map(|e| e.unwrap().path()).filter(|p| p.extension().is_some_and(|e| e == "mp4" || e == "mov")).collect();
+    let mut files: Vec<PathBuf> = entries
+        .map(|e| e.unwrap().path())
+        .filter(|p| p.extension().is_some_and(|e| e == "mp4" || e == "mov"))
+        .collect();
     files.sort();
     assert!(!files.is_empty());
-    files.iter().for_each(|f| compare(f, 1e-6));
+    for file in &files {
+        compare(file, 1e-6);
+    }
 }
 
 #[test]
@@ -113,11 +137,15 @@ fn turned_and_mirrored_videos_are_shown_as_ffmpeg_does() {
         let mut reader = Reader::open(&turned).unwrap();
         let info = reader.info().clone();
         let first = reader.next_frame().unwrap().unwrap().image;
-        assert_eq!((first.dimensions(), (info.width, info.height), info.rotation_degrees), (shown.dimensions(), shown.dimensions(), rotation));
+        assert_eq!(
+            (first.dimensions(), (info.width, info.height), info.rotation_degrees),
+            (shown.dimensions(), shown.dimensions(), rotation)
+        );
         // The second frame takes another path than the first, which is read at opening.
         let second = reader.next_frame().unwrap().unwrap().image;
         for (name, image) in [("first", &first), ("second", &second)] {
-            let difference = image.as_raw().iter().zip(shown.as_raw()).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>();
+            let difference =
+                image.as_raw().iter().zip(shown.as_raw()).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>();
             let mean = difference / shown.as_raw().len() as f64;
             assert!(mean < 6.0, "{matrix:?}: the {name} frame differs by {mean} levels");
         }

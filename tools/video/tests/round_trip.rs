@@ -1,4 +1,5 @@
 //! Videos written and read back, and input that is no video.
+#![expect(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::fs;
 use std::path::Path;

@@ -61,7 +61,15 @@ pub(super) fn run(args: &CheckArgs, console: &Console) -> Result<(), Failure> {
 
 fn line(name: &str, e: &PoseErrors) -> String {
     format!(
-        "  {name:<13}{:5} frames: rotation {:.4}° mean, {:.4}° median, {:.4}° max; position {:.6} mean, {:.6} median, {:.6} max",
-        e.frames, e.rotation_deg.mean, e.rotation_deg.median, e.rotation_deg.max, e.position.mean, e.position.median, e.position.max
+        "  {name:<13}{:5} frames: rotation {:.4}° mean, {:.4}° median, {:.4}° max; position {:.6} mean, {:.6} median, {:.6} max; face shift {:.2} px mean, {:.2} max",
+        e.frames,
+        e.rotation_deg.mean,
+        e.rotation_deg.median,
+        e.rotation_deg.max,
+        e.position.mean,
+        e.position.median,
+        e.position.max,
+        e.face_shift_px.mean,
+        e.face_shift_px.max
     )
 }

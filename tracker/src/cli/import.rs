@@ -65,7 +65,8 @@ pub(super) fn run(args: &ImportArgs, console: &Console) -> Result<(), Failure> {
         min_confidence,
     };
     let summary = import::import(&args.take, &options, console)?;
-    let human = format!("{}\nwritten to   {}", super::quality_in_words(&summary.quality), args.take.join("track").display());
+    let human =
+        format!("{}\nwritten to   {}", super::quality_in_words(&summary.quality), args.take.join("track").display());
     console.finish(&summary, &human);
     Ok(())
 }

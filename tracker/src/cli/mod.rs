@@ -60,8 +60,10 @@ struct RunArgs {
 /// Runs one command.
 pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     match &cli.command {
-        Command::Run(args) => Err(Failure::input(format!("{}: tracking by built-in models is not built yet", args.take.display()))
-            .with_hint("track the video with OpenFace and use `tracker import TAKE --openface FILE.csv`")),
+        Command::Run(args) => {
+            Err(Failure::input(format!("{}: tracking by built-in models is not built yet", args.take.display()))
+                .with_hint("track the video with OpenFace and use `tracker import TAKE --openface FILE.csv`"))
+        }
         Command::Import(args) => import::run(args, console),
         Command::Poses(args) => poses::run(args, console),
         Command::Check(args) => check::run(args, console),

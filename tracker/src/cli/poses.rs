@@ -32,7 +32,7 @@ pub(super) struct PosesArgs {
     #[arg(long, value_name = "METHOD")]
     method: Option<MethodArg>,
     /// Take this COLMAP model (a folder with cameras, images and points3D, or one above it) instead of running COLMAP
-    #[arg(long, value_name = "DIR", conflicts_with = "method")]
+    #[arg(long, value_name = "DIR")]
     colmap_model: Option<PathBuf>,
     /// Number of the take's first frame in the model's image names [default: 0]
     #[arg(long, value_name = "N", requires = "colmap_model")]
@@ -43,10 +43,10 @@ pub(super) struct PosesArgs {
     /// The COLMAP program [default: colmap]
     #[arg(long, value_name = "PATH")]
     colmap: Option<PathBuf>,
-    /// COLMAP's camera model [default: OPENCV]
+    /// COLMAP's camera model [default: SIMPLE_RADIAL]
     #[arg(long, value_name = "NAME")]
     camera_model: Option<String>,
-    /// Features per key frame [default: 3000]
+    /// Features per key frame [default: 2000]
     #[arg(long, value_name = "N")]
     max_features: Option<u32>,
     /// Leave the face out of COLMAP's features [default: off]
@@ -67,7 +67,8 @@ pub(super) struct PosesArgs {
     /// With `--method head`: smooth the poses over this many seconds to each side, 0 is off [default: 0.06]
     #[arg(long, value_name = "SECS")]
     smooth: Option<f64>,
-    /// With `--method head`: take the table's poses as they are
+    /// Leave interpolated poses as they are (by default the landmarks correct them); with `--method head`: take the
+    /// table's poses as they are
     #[arg(long)]
     no_refine: bool,
 }
@@ -103,6 +104,9 @@ struct Settings {
 
 pub(super) fn run(args: &PosesArgs, console: &Console) -> Result<(), Failure> {
     let settings: Settings = risorius_console::settings("tracker-poses")?;
+    if args.colmap_model.is_some() && args.method == Some(MethodArg::Head) {
+        return Err(Failure::usage("`--colmap-model` and `--method head` exclude each other"));
+    }
     let source = if let Some(dir) = &args.colmap_model {
         Source::Model { dir: dir.clone(), first: args.colmap_first.unwrap_or(0) }
     } else {
@@ -111,7 +115,12 @@ pub(super) fn run(args: &PosesArgs, console: &Console) -> Result<(), Failure> {
             MethodArg::Head => Source::Head(head_options(args, &settings)?),
         }
     };
-    let options = PosesOptions { source, min_confidence: MIN_CONFIDENCE, max_gap_secs: MAX_GAP_SECS };
+    let options = PosesOptions {
+        source,
+        min_confidence: MIN_CONFIDENCE,
+        max_gap_secs: MAX_GAP_SECS,
+        correct_by_landmarks: !args.no_refine,
+    };
     let report = poses::find(&args.take, &options, console)?;
     let human = format!("{}\nwritten to    {}", in_words(&report), args.take.join("poses").display());
     console.finish(&report, &human);

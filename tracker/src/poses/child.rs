@@ -74,7 +74,11 @@ impl Runner<'_> {
             }
             if self.limit.is_some_and(|limit| self.started.elapsed() > limit) {
                 let secs = self.limit.unwrap_or_default().as_secs();
-                return Err(TrackerError::ColmapTimeout { step: step.to_owned(), secs, log: self.final_log.to_owned() });
+                return Err(TrackerError::ColmapTimeout {
+                    step: step.to_owned(),
+                    secs,
+                    log: self.final_log.to_owned(),
+                });
             }
             std::thread::sleep(POLL);
         }

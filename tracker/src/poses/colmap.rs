@@ -55,8 +55,10 @@ impl Default for ColmapOptions {
         Self {
             program: super::child::default_program(),
             keyframes: None,
-            camera_model: "OPENCV".into(),
-            max_features: 3000,
+            // Two focal lengths and tangential terms trade off against the pose when the camera moves little:
+            // four times the rotation error on a capture with known cameras.
+            camera_model: "SIMPLE_RADIAL".into(),
+            max_features: 2000,
             max_side: 1600,
             mask_face: false,
             time_limit: None,
@@ -92,7 +94,8 @@ pub fn run(
     // Asked first: a missing program should not cost the extraction of pictures.
     let version = find_version(&runner)?;
     let flags = Flags::of(version);
-    let keys = keyframes::choose(&take.frames, options.keyframes.unwrap_or_else(|| keyframes::default_count(&take.frames)));
+    let keys =
+        keyframes::choose(&take.frames, options.keyframes.unwrap_or_else(|| keyframes::default_count(&take.frames)));
     let pictures = work.join("images");
     let database = work.join("database.db");
     extract(take, track, &keys, options, work, reporter)?;
@@ -114,7 +117,11 @@ pub fn run(
     let found = pick(take, work, final_log, keys.len())?;
     let registered = found.model.frames.len();
     let mut notes = vec![
-        format!("COLMAP {} on {} key frames", version.map_or("of unknown version".into(), |v| v.to_string()), keys.len()),
+        format!(
+            "COLMAP {} on {} key frames",
+            version.map_or("of unknown version".into(), |v| v.to_string()),
+            keys.len()
+        ),
         format!("took the largest of {} sub-models with {registered} images", found.candidates),
     ];
     if (registered as f64) < MIN_REGISTERED_SHARE * keys.len() as f64 {
@@ -138,7 +145,10 @@ fn find_version(runner: &Runner<'_>) -> Result<Option<Version>> {
     if version.is_none() {
         runner.reporter.warn(Warning::new(
             "colmap-version",
-            format!("`{} help` does not tell its version; the option names of the newest one are used", runner.program.display()),
+            format!(
+                "`{} help` does not tell its version; the option names of the newest one are used",
+                runner.program.display()
+            ),
         ));
     }
     Ok(version)
@@ -228,14 +238,7 @@ fn compare(runner: &Runner<'_>, keys: &[u32], database: &Path, flags: Flags, wor
     Ok(())
 }
 
-fn map(
-    runner: &Runner<'_>,
-    keys: &[u32],
-    database: &Path,
-    pictures: &Path,
-    flags: Flags,
-    work: &Path,
-) -> Result<()> {
+fn map(runner: &Runner<'_>, keys: &[u32], database: &Path, pictures: &Path, flags: Flags, work: &Path) -> Result<()> {
     let sparse = work.join("sparse");
     create_dir(&sparse)?;
     runner.reporter.stage("map", Some(keys.len() as u64));
@@ -252,7 +255,11 @@ fn map(
     let progress = |line: &str| line.contains("Registering image #").then(|| number_after(line, "(")).flatten();
     match runner.run("mapper", &args, Some(progress)) {
         // Some versions exit with an error when they find no model; that is told better below.
-        Err(TrackerError::ColmapFailed { .. }) if model::model_dirs(&sparse).is_empty() && is_about_no_model(runner.log) => Ok(()),
+        Err(TrackerError::ColmapFailed { .. })
+            if model::model_dirs(&sparse).is_empty() && is_about_no_model(runner.log) =>
+        {
+            Ok(())
+        }
         other => other.map(|_| ()),
     }
 }

@@ -15,9 +15,11 @@ impl Stage {
         let dir = tempfile::tempdir().unwrap();
         let path = testing::take(dir.path(), 32, 24, 10);
         let pictures = path.join("pictures");
-        std::fs::create_dir(&pictures).unwrap();
+        fs::create_dir(&pictures).unwrap();
         for i in 0..10 {
-            RgbImage::from_pixel(32, 24, image::Rgb([i * 20, 7, 9])).save(pictures.join(format!("{i:03}.png"))).unwrap();
+            RgbImage::from_pixel(32, 24, image::Rgb([i * 20, 7, 9]))
+                .save(pictures.join(format!("{i:03}.png")))
+                .unwrap();
         }
         let mut manifest = Take::open(&path).unwrap().manifest;
         manifest.source = risorius_formats::take::SourceKind::Images;
@@ -30,20 +32,20 @@ impl Stage {
     fn run(&self, arms: &str, limit: Option<Duration>, reporter: &dyn Reporter) -> (Result<Run>, String) {
         let program = self.dir.path().join("colmap");
         let text = format!("#!/bin/sh\ncase \"$1\" in\nhelp) echo 'COLMAP 3.8 -- fake';;\n{arms}\nesac\n");
-        std::fs::write(&program, text).unwrap();
-        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+        fs::write(&program, text).unwrap();
+        fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
         self.run_program(program, limit, reporter)
     }
 
     fn run_program(&self, program: PathBuf, limit: Option<Duration>, reporter: &dyn Reporter) -> (Result<Run>, String) {
         let options = ColmapOptions { program, time_limit: limit, mask_face: true, ..ColmapOptions::default() };
         let work = self.dir.path().join("work");
-        let _ = std::fs::remove_dir_all(&work);
-        std::fs::create_dir(&work).unwrap();
+        let _ = fs::remove_dir_all(&work);
+        fs::create_dir(&work).unwrap();
         let log = self.dir.path().join("colmap.log");
-        let _ = std::fs::remove_file(&log);
+        let _ = fs::remove_file(&log);
         let result = run(&self.take, &Track::default(), &options, &work, &log, Path::new("final.log"), reporter);
-        (result, std::fs::read_to_string(log).unwrap_or_default())
+        (result, fs::read_to_string(log).unwrap_or_default())
     }
 }
 
@@ -70,7 +72,8 @@ impl Reporter for Listener {
 
 /// The arms of a mapper that places `count` images.
 fn mapper(count: usize) -> String {
-    let images: String = (0..count).map(|i| format!("{} 1 0 0 0 {i} 0 5 1 {i:06}.png\\n\\n", i + 1)).collect();
+    let lines: Vec<String> = (0..count).map(|i| format!("{} 1 0 0 0 {i} 0 5 1 {i:06}.png\\n\\n", i + 1)).collect();
+    let images = lines.concat();
     format!(
         "feature_extractor) for i in 1 2 3 10; do echo \"Processed file [$i/10]\"; done;;\nmatches_importer) ;;\nmapper) shift; while [ \"$1\" != --output_path ]; do shift; done; mkdir \"$2/0\"; cd \"$2/0\"
 echo 'Registering image #4 (3)'; echo 'Registering image #9 (10)'
@@ -105,9 +108,13 @@ fn too_few_placed_frames_are_refused_with_advice() {
 #[test]
 fn a_failing_step_is_named_with_its_last_words() {
     let stage = Stage::new();
-    let (result, log) = stage.run("feature_extractor) echo begun; echo 'no memory left' >&2; exit 3;;", None, &Collected::default());
+    let (result, log) =
+        stage.run("feature_extractor) echo begun; echo 'no memory left' >&2; exit 3;;", None, &Collected::default());
     let error = result.unwrap_err();
-    assert!(matches!(&error, TrackerError::ColmapFailed { step, last_line, .. } if step == "feature_extractor" && last_line == "no memory left"), "{error}");
+    assert!(
+        matches!(&error, TrackerError::ColmapFailed { step, last_line, .. } if step == "feature_extractor" && last_line == "no memory left"),
+        "{error}"
+    );
     assert!(error.hint().unwrap().contains("final.log") && log.contains("begun"));
 }
 
@@ -128,7 +135,11 @@ fn a_step_that_hangs_is_ended_at_the_time_limit_or_on_request() {
 fn no_model_is_told_apart_from_a_crash() {
     let stage = Stage::new();
     let start = "feature_extractor|matches_importer) ;;\n";
-    let (result, _) = stage.run(&format!("{start}mapper) echo 'ERROR: failed to create sparse model'; exit 1;;"), None, &Collected::default());
+    let (result, _) = stage.run(
+        &format!("{start}mapper) echo 'ERROR: failed to create sparse model'; exit 1;;"),
+        None,
+        &Collected::default(),
+    );
     assert!(matches!(result.unwrap_err(), TrackerError::ColmapNoModel { tried: 10, .. }));
     let (result, _) = stage.run(&format!("{start}mapper) exit 0;;"), None, &Collected::default());
     assert!(matches!(result.unwrap_err(), TrackerError::ColmapNoModel { .. }));
@@ -146,6 +157,9 @@ fn a_missing_program_is_found_out_before_any_work() {
     assert!(!stage.dir.path().join("work/images").exists());
     // A file that is no program.
     let text = stage.dir.path().join("text");
-    std::fs::write(&text, "x").unwrap();
-    assert!(matches!(stage.run_program(text, None, &Collected::default()).0.unwrap_err(), TrackerError::ColmapMissing { .. }));
+    fs::write(&text, "x").unwrap();
+    assert!(matches!(
+        stage.run_program(text, None, &Collected::default()).0.unwrap_err(),
+        TrackerError::ColmapMissing { .. }
+    ));
 }

@@ -50,8 +50,12 @@ impl Head {
 
 /// Triangulates the 68 landmarks over the frames that were placed by themselves.
 pub fn find_head(model: &TakeModel, track: &Track, min_confidence: f32) -> Result<Head> {
-    let rows: Vec<(&TrackRow, u32)> =
-        track.rows.iter().filter(|r| r.is_valid(min_confidence) && r.landmarks.is_some()).map(|r| (r, r.frame.0)).collect();
+    let rows: Vec<(&TrackRow, u32)> = track
+        .rows
+        .iter()
+        .filter(|r| r.is_valid(min_confidence) && r.landmarks.is_some())
+        .map(|r| (r, r.frame.0))
+        .collect();
     let view = |row: &TrackRow, frame: u32, landmark: usize| {
         let p = row.landmarks.as_ref()?.points_px[landmark];
         View::new(&model.camera(frame)?, DVec2::new(f64::from(p[0]), f64::from(p[1])))

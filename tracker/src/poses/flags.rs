@@ -45,7 +45,11 @@ impl Flags {
         Self {
             extraction_gpu: if sift { "--SiftExtraction.use_gpu" } else { "--FeatureExtraction.use_gpu" },
             matching_gpu: if sift { "--SiftMatching.use_gpu" } else { "--FeatureMatching.use_gpu" },
-            global_ratio: if before(3, 12) { "--Mapper.ba_global_images_ratio" } else { "--Mapper.ba_global_frames_ratio" },
+            global_ratio: if before(3, 12) {
+                "--Mapper.ba_global_images_ratio"
+            } else {
+                "--Mapper.ba_global_frames_ratio"
+            },
         }
     }
 }

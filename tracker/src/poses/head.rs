@@ -29,21 +29,23 @@ const SHAPE_SIGMA_M: f64 = 0.005;
 pub const SMOOTH_SECS: f64 = 0.06;
 
 /// Landmarks that hardly move against the skull, with factors on their noise: what moves with the expression may help,
-/// but not decide.
-const RIGID: [(usize, f64); 13] = [
+/// but not decide. The ends of the jaw line lie far behind the nose: without them nodding and a raised nose look alike.
+const RIGID: [(usize, f64); 15] = [
     (27, 1.0),
     (28, 1.0),
     (29, 1.0),
     (30, 1.0),
-    (33, 1.0),
     (36, 1.0),
     (39, 1.0),
     (42, 1.0),
     (45, 1.0),
-    (31, 1.5),
-    (32, 1.5),
-    (34, 1.5),
-    (35, 1.5),
+    (0, 1.5),
+    (16, 1.5),
+    (1, 2.0),
+    (15, 2.0),
+    (2, 3.0),
+    (14, 3.0),
+    (33, 2.0),
 ];
 
 /// How the head route works.
@@ -74,7 +76,8 @@ pub struct HeadRoute {
 
 /// Finds the poses of all frames with a valid row.
 pub fn find(take: &Take, track: &Track, options: &HeadOptions, reporter: &dyn Reporter) -> Result<HeadRoute> {
-    let lacks = |missing: &str, hint| TrackerError::TrackLacks { path: take.openface_path(), missing: missing.into(), hint };
+    let lacks =
+        |missing: &str, hint| TrackerError::TrackLacks { path: take.openface_path(), missing: missing.into(), hint };
     let rows: Vec<&TrackRow> = track
         .rows
         .iter()
@@ -92,7 +95,8 @@ pub fn find(take: &Take, track: &Track, options: &HeadOptions, reporter: &dyn Re
     }
     let mut notes = Vec::new();
     let lens = find_lens(take, &rows, options, &mut notes);
-    let mut poses: Vec<Isometry> = rows.iter().filter_map(|r| r.head_pose).map(|p| in_metres(&p.camera_from_head())).collect();
+    let mut poses: Vec<Isometry> =
+        rows.iter().filter_map(|r| r.head_pose).map(|p| in_metres(&p.camera_from_head())).collect();
     let before = face_of(&lens, &poses, &rows).ok_or(TrackerError::TooLittleParallax { good: 0 })?;
     if options.refine {
         reporter.stage("refine head poses", None);
@@ -110,9 +114,10 @@ pub fn find(take: &Take, track: &Track, options: &HeadOptions, reporter: &dyn Re
     ));
     let chin_drop = chin_drop(&lens, &poses, &rows, &after.landmarks);
     let hull = head_hull(&after.landmarks, chin_drop);
-    let placed = frames.iter().zip(&poses).map(|(&frame, &camera_from_world)| {
-        (frame, PlacedFrame { lens: 1, camera_from_world, points: Vec::new() })
-    });
+    let placed = frames
+        .iter()
+        .zip(&poses)
+        .map(|(&frame, &camera_from_world)| (frame, PlacedFrame { lens: 1, camera_from_world, points: Vec::new() }));
     let model = TakeModel { lenses: BTreeMap::from([(1, lens)]), frames: placed.collect(), points: BTreeMap::new() };
     let center = after.landmarks.iter().sum::<DVec3>() / after.landmarks.len() as f64;
     let radius = after.landmarks.iter().map(|p| p.distance(center)).fold(0.0, f64::max);
@@ -209,12 +214,12 @@ fn refine(
         let views: Vec<FrameView> = rows.iter().map(view).collect();
         let chosen: Vec<usize> = (0..rows.len()).step_by(step).collect();
         let mut some_poses: Vec<Isometry> =
-            chosen.par_iter().map(|&i| refine_pose(lens, poses[i], &shape, &points, &views[i])).collect();
+            chosen.par_iter().map(|&i| refine_pose(lens, poses[i], &shape, &points, &views[i], None)).collect();
         let some_views: Vec<FrameView> = chosen.iter().map(|&i| views[i].clone()).collect();
         let bundle = Bundle { lens, points: &points, views: &some_views, shape_sigma: SHAPE_SIGMA_M };
         bundle.adjust(&mut some_poses, &mut shape, 25);
         poses.par_iter_mut().zip(&views).for_each(|(pose, view)| {
-            *pose = refine_pose(lens, *pose, &shape, &points, view);
+            *pose = refine_pose(lens, *pose, &shape, &points, view, None);
         });
         if let Some(face) = face_of(lens, poses, rows) {
             errors = face.errors_px;
@@ -225,7 +230,10 @@ fn refine(
 
 fn rigid_points(errors_px: &[f64]) -> Vec<RigidPoint> {
     // The median length of a 2-D normal deviate is 1.18 σ; below a third of a pixel is luck.
-    RIGID.iter().map(|&(landmark, factor)| RigidPoint { landmark, sigma_px: (errors_px[landmark] / 1.18).max(0.33) * factor }).collect()
+    RIGID
+        .iter()
+        .map(|&(landmark, factor)| RigidPoint { landmark, sigma_px: (errors_px[landmark] / 1.18).max(0.33) * factor })
+        .collect()
 }
 
 /// The rigid points in the head frame: the tracker's own 3-D landmarks where it wrote them, else triangulated ones.

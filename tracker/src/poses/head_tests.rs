@@ -43,11 +43,16 @@ fn row(i: u32) -> TrackRow {
     let points_px = std::array::from_fn(|k| {
         let jaw = if (4..13).contains(&k) || (55..60).contains(&k) { DVec3::Y * open } else { DVec3::ZERO };
         let p = lens.project(truth(i).transform_point(person()[k] + jaw));
-        let noise = |s: u64| ((u64::from(i) * 977 + k as u64 * 31 + s).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as f64 / f64::from(1u32 << 24) - 0.5;
+        let noise = |s: u64| {
+            ((u64::from(i) * 977 + k as u64 * 31 + s).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as f64
+                / f64::from(1u32 << 24)
+                - 0.5
+        };
         [(p.x + noise(1)) as f32, (p.y + noise(2)) as f32]
     });
     let off = rotation_exp(DVec3::new(0.05 * f64::from(i).sin(), 0.07 * (f64::from(i) * 0.7).cos(), 0.02));
-    let pose = Isometry::new(truth(i).rotation * off, (truth(i).translation * 1.02 + DVec3::new(0.002, -0.003, 0.0)) * 1e3);
+    let pose =
+        Isometry::new(truth(i).rotation * off, (truth(i).translation * 1.02 + DVec3::new(0.002, -0.003, 0.0)) * 1e3);
     TrackRow {
         frame: FrameIndex(i),
         face_id: 0,
@@ -87,7 +92,8 @@ fn refined_poses_are_much_closer_to_the_truth_than_the_tables() {
     let lens = after.model.lenses[&1];
     for i in (0..240).step_by(5) {
         let camera = Camera { intrinsics: lens, camera_from_world: after.model.frames[&i].camera_from_world };
-        let outline = crate::poses::mask::convex_hull(&after.hull.iter().map(|p| camera.project(*p)).collect::<Vec<_>>());
+        let outline =
+            crate::poses::mask::convex_hull(&after.hull.iter().map(|p| camera.project(*p)).collect::<Vec<_>>());
         let points = track.rows[i as usize].landmarks.as_ref().unwrap();
         for p in &points.points_px {
             assert!(crate::poses::mask::contains(&outline, DVec2::new(p[0].into(), p[1].into())), "frame {i}");

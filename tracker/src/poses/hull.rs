@@ -12,6 +12,8 @@ const CROWN: f64 = 1.0;
 const SIDE: f64 = 1.15;
 /// Length of the skull in widths.
 const LENGTH: f64 = 1.3;
+/// Exponent on the sines of the skull's ellipsoid: 1 is an ellipsoid, 0 a box.
+const FULLNESS: f64 = 0.8;
 /// Margin below the chin, in brow-to-chin heights.
 const BELOW: f64 = 0.06;
 
@@ -42,7 +44,9 @@ pub fn head_hull(landmarks: &[DVec3], chin_drop: f64) -> Vec<DVec3> {
         let turns = if level == 0 { 1 } else { 16 };
         for turn in 0..turns {
             let around = f64::from(turn) / 16.0 * std::f64::consts::TAU;
-            let out = DVec3::new(up.cos() * around.cos(), -up.sin(), up.cos() * around.sin());
+            // A little fuller than an ellipsoid, as skulls and hair are.
+            let full = |v: f64| v.abs().powf(FULLNESS).copysign(v);
+            let out = DVec3::new(full(up.cos()) * around.cos(), -full(up.sin()), full(up.cos()) * around.sin());
             corners.push(middle + out * DVec3::new(side, CROWN * height, half_length));
         }
     }

@@ -114,8 +114,9 @@ impl Spline {
                 }
             }
             for i in (1..n - 1).rev() {
-                for c in 0..6 {
-                    second[i][c] -= upper[i] * second[i + 1][c];
+                let next = second[i + 1];
+                for (value, next) in second[i].iter_mut().zip(next) {
+                    *value -= upper[i] * next;
                 }
             }
         }

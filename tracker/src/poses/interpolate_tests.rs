@@ -7,10 +7,7 @@ fn frames(n: u32, nanos: impl Fn(u32) -> i64) -> Vec<FrameRecord> {
 }
 
 fn difference(a: &Isometry, b: &Isometry) -> (f64, f64) {
-    (
-        se3::rotation_angle(&(a.rotation * b.rotation.transpose())),
-        (a.camera_center() - b.camera_center()).length(),
-    )
+    (se3::rotation_angle(&(a.rotation * b.rotation.transpose())), (a.camera_center() - b.camera_center()).length())
 }
 
 #[test]
@@ -38,14 +35,20 @@ fn a_swaying_camera_is_met_to_fourth_order() {
     let frames = frames(481, |i| i64::from(i) * 8_333_333);
     let pose = |i: u32| {
         let t = f64::from(i) / 120.0;
-        let sway = [0.3 * (2.0 * t).sin(), 0.5 * (1.3 * t).cos(), 0.0, 0.1 * (2.0 * t).cos(), 0.0, 0.05 * (1.7 * t).sin()];
+        let sway =
+            [0.3 * (2.0 * t).sin(), 0.5 * (1.3 * t).cos(), 0.0, 0.1 * (2.0 * t).cos(), 0.0, 0.05 * (1.7 * t).sin()];
         se3::exp(Twist::from_array(sway)).inverse()
     };
     let worst = |step: usize| {
         let placed: BTreeMap<u32, Isometry> = (0..481).step_by(step).map(|i| (i, pose(i))).collect();
         let result = interpolate(&placed, &frames, MAX_GAP_SECS);
         // The ends are left out: a natural end has no curvature.
-        result.poses.iter().filter(|(i, _)| (120..360).contains(*i)).map(|(&i, p)| difference(p, &pose(i)).0).fold(0.0, f64::max)
+        result
+            .poses
+            .iter()
+            .filter(|(i, _)| (120..360).contains(*i))
+            .map(|(&i, p)| difference(p, &pose(i)).0)
+            .fold(0.0, f64::max)
     };
     let (coarse, fine) = (worst(40), worst(20));
     assert!(coarse < 1e-3 && fine < coarse / 8.0, "{coarse} {fine}");

@@ -59,7 +59,8 @@ mod tests {
 
     #[test]
     fn the_hull_of_a_square_with_inner_points_is_the_square() {
-        let square = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0), (2.0, 2.0), (2.0, 0.0), (0.0, 0.0)].map(DVec2::from);
+        let square =
+            [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0), (2.0, 2.0), (2.0, 0.0), (0.0, 0.0)].map(DVec2::from);
         let hull = convex_hull(&square);
         assert_eq!(hull.len(), 4);
         assert!(contains(&hull, DVec2::new(0.1, 3.9)) && !contains(&hull, DVec2::new(4.1, 2.0)));
@@ -68,7 +69,9 @@ mod tests {
 
     #[test]
     fn the_mask_is_black_on_the_face_only() {
-        let landmarks = Landmarks68 { points_px: std::array::from_fn(|i| [40.0 + (i % 9) as f32 * 5.0, 40.0 + (i / 9) as f32 * 5.0]) };
+        let landmarks = Landmarks68 {
+            points_px: std::array::from_fn(|i| [40.0 + (i % 9) as f32 * 5.0, 40.0 + (i / 9) as f32 * 5.0]),
+        };
         let mask = outside_face(60, 60, 0.5, Some(&landmarks));
         assert_eq!(mask.get_pixel(30, 28).0, [0]);
         assert_eq!(mask.get_pixel(10, 10).0, [255]);

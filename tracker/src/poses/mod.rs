@@ -3,6 +3,7 @@
 //! Whatever the way, the result is the same: `poses/sparse/` (a COLMAP text model at full size, images `%06d.png`) and
 //! `poses/report.json` with the head's place, near and far. Frames between placed ones are interpolated.
 
+mod between;
 mod child;
 pub mod colmap;
 pub mod depths;
@@ -26,8 +27,9 @@ use glam::DVec3;
 use risorius_formats::atomic::AtomicDir;
 use risorius_formats::openface::{self, ReadOptions};
 use risorius_formats::pose_report::{PoseMethod, PoseReport};
-use risorius_formats::{FormatError, Reporter, Silent, Take, Track, Warning, colmap as colmap_format};
+use risorius_formats::{FormatError, Reporter, Silent, Take, Track, TrackRow, Warning, colmap as colmap_format};
 
+use self::between::Between;
 use self::colmap::ColmapOptions;
 use self::depths::Head;
 use self::head::HeadOptions;
@@ -62,6 +64,8 @@ pub struct PosesOptions {
     pub min_confidence: f32,
     /// Longest gap between placed frames that is interpolated, seconds.
     pub max_gap_secs: f64,
+    /// Whether the landmarks correct the interpolated poses (not with the head route, where they made the poses).
+    pub correct_by_landmarks: bool,
 }
 
 /// The take's track; an error with advice when there is none.
@@ -89,8 +93,13 @@ pub fn find(take_dir: impl AsRef<Path>, options: &PosesOptions, reporter: &dyn R
         }
     };
     reporter.stage("write the poses", None);
-    interpolate_between(&mut placed, &take, options.max_gap_secs, reporter);
-    let report = report(&placed, &take, &track, options, started)?;
+    let (head, hull) = match placed.head.take() {
+        Some((head, hull)) => (head, Some(hull)),
+        None => (depths::find_head(&placed.model, &track, options.min_confidence)?, None),
+    };
+    let correct = options.correct_by_landmarks && hull.is_none();
+    interpolate_between(&mut placed, &take, correct.then_some((&track, &head)), options, reporter);
+    let report = report(&placed, head, hull, &take, started)?;
     colmap_format::write_text(folder.path().join("sparse"), &placed.model.to_colmap())?;
     report.write(folder.path().join("report.json"))?;
     folder.commit()?;
@@ -108,20 +117,17 @@ struct Placed {
     notes: Vec<String>,
 }
 
-fn place(
-    take: &Take,
-    track: &Track,
-    options: &PosesOptions,
-    folder: &Path,
-    reporter: &dyn Reporter,
-) -> Result<Placed> {
+fn place(take: &Take, track: &Track, options: &PosesOptions, folder: &Path, reporter: &dyn Reporter) -> Result<Placed> {
     match &options.source {
         Source::Model { dir, first } => {
             reporter.stage("read the model", None);
             let found = model::load(dir, take, *first, reporter)?;
             let mut notes = vec![format!("took {} of {} sub-models", found.dir.display(), found.candidates)];
             if found.foreign_images > 0 {
-                let message = format!("{} images of the model belong to no frame of the take and were left out", found.foreign_images);
+                let message = format!(
+                    "{} images of the model belong to no frame of the take and were left out",
+                    found.foreign_images
+                );
                 reporter.warn(Warning::new("foreign-images", message.clone()));
                 notes.push(message);
             }
@@ -140,7 +146,8 @@ fn place(
             let work = folder.join(".work");
             fs::create_dir(&work).map_err(|e| FormatError::io(&work, "create the folder", &e))?;
             let final_log = take.dir.join("poses").join("colmap.log");
-            let run = colmap::run(take, track, colmap_options, &work, &folder.join("colmap.log"), &final_log, reporter)?;
+            let run =
+                colmap::run(take, track, colmap_options, &work, &folder.join("colmap.log"), &final_log, reporter)?;
             if !colmap_options.keep_work {
                 fs::remove_dir_all(&work).map_err(|e| FormatError::io(&work, "remove", &e))?;
             }
@@ -180,8 +187,27 @@ fn keep_log(take: &Take, staging: &Path) {
     }
 }
 
-fn interpolate_between(placed: &mut Placed, take: &Take, max_gap_secs: f64, reporter: &dyn Reporter) {
-    let result = interpolate::interpolate(&placed.model.poses(), &take.frames, max_gap_secs);
+fn interpolate_between(
+    placed: &mut Placed,
+    take: &Take,
+    landmarks: Option<(&Track, &Head)>,
+    options: &PosesOptions,
+    reporter: &dyn Reporter,
+) {
+    let max_gap_secs = options.max_gap_secs;
+    let mut result = interpolate::interpolate(&placed.model.poses(), &take.frames, max_gap_secs);
+    if let Some((track, head)) = landmarks
+        && !result.poses.is_empty()
+    {
+        let usable = |r: &&TrackRow| r.is_valid(options.min_confidence) && r.landmarks.is_some();
+        let rows = track.rows.iter().filter(usable).map(|r| (r.frame.0, r)).collect();
+        let between =
+            Between { placed: &placed.model, frames: &take.frames, rows: &rows, face: &head.landmarks, max_gap_secs };
+        placed.notes.push(match between.correct(&mut result) {
+            Some(count) => format!("{count} interpolated poses were corrected by the landmarks"),
+            None => "too few placed frames to correct the interpolated poses by the landmarks".to_owned(),
+        });
+    }
     for (&frame, &camera_from_world) in &result.poses {
         // The lens of the frame before: a take has one camera, foreign models may have several.
         let lens = placed.model.frames.range(..frame).next_back().map_or(1, |(_, f)| f.lens);
@@ -199,23 +225,12 @@ fn interpolate_between(placed: &mut Placed, take: &Take, max_gap_secs: f64, repo
     placed.interpolated_runs = result.runs;
 }
 
-fn report(
-    placed: &Placed,
-    take: &Take,
-    track: &Track,
-    options: &PosesOptions,
-    started: Instant,
-) -> Result<PoseReport> {
+fn report(placed: &Placed, head: Head, hull: Option<Vec<DVec3>>, take: &Take, started: Instant) -> Result<PoseReport> {
     let interpolated: u32 = placed.interpolated_runs.iter().map(|r| r[1] - r[0] + 1).sum();
     let poses = placed.model.poses();
-    let (head, hull) = match &placed.head {
-        Some((head, hull)) => (head.clone(), Some(hull.clone())),
-        None => (depths::find_head(&registered_only(placed), track, options.min_confidence)?, None),
-    };
     let behind = TrackerError::TooLittleParallax { good: 0 };
     let head_depth = Head::depths(&head.landmarks, poses.values()).ok_or(behind)?;
-    let point_depths = placed.model.point_depths();
-    let range = depths::range(head_depth, head.radius, point_depths);
+    let range = depths::range(head_depth, head.radius, placed.model.point_depths());
     let (near, far) = match &hull {
         None => (range.near, range.far),
         Some(hull) => {
@@ -245,17 +260,6 @@ fn report(
         seconds: started.elapsed().as_secs_f64(),
         notes: placed.notes.clone(),
     })
-}
-
-/// Interpolated poses say nothing new about the face.
-fn registered_only(placed: &Placed) -> TakeModel {
-    let mut model = TakeModel { lenses: placed.model.lenses.clone(), ..TakeModel::default() };
-    let interpolated = |frame: u32| placed.interpolated_runs.iter().any(|r| (r[0]..=r[1]).contains(&frame));
-    let registered = placed.model.frames.iter().filter(|(f, _)| !interpolated(**f));
-    model.frames = registered
-        .map(|(&f, p)| (f, PlacedFrame { lens: p.lens, camera_from_world: p.camera_from_world, points: Vec::new() }))
-        .collect();
-    model
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! An existing COLMAP model as the cameras of a take.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 
 use glam::{DVec2, DVec3};
@@ -102,7 +103,9 @@ pub struct Found {
 /// Folders below `dir` that hold a model, `dir` itself first.
 pub(crate) fn model_dirs(dir: &Path) -> Vec<PathBuf> {
     let is_model = |d: &Path| {
-        ["txt", "bin"].iter().any(|e| d.join(format!("cameras.{e}")).is_file() && d.join(format!("images.{e}")).is_file())
+        ["txt", "bin"]
+            .iter()
+            .any(|e| d.join(format!("cameras.{e}")).is_file() && d.join(format!("images.{e}")).is_file())
     };
     let mut candidates = vec![dir.to_owned(), dir.join("sparse")];
     for base in [dir.to_owned(), dir.join("sparse")] {
@@ -161,19 +164,23 @@ fn fit_to_take(
             duplicates += 1;
             continue;
         }
-        if !scales.contains_key(&image.camera_id) {
-            let Some(camera) = model.cameras.get(&image.camera_id) else { continue };
-            let (lens, scale) = fit_camera(camera, image.camera_id, dir, take, reporter)?;
-            result.lenses.insert(image.camera_id, lens);
-            scales.insert(image.camera_id, scale);
-        }
-        let scale = scales[&image.camera_id];
+        let scale = match scales.entry(image.camera_id) {
+            Entry::Occupied(known) => *known.get(),
+            Entry::Vacant(slot) => {
+                let Some(camera) = model.cameras.get(&image.camera_id) else { continue };
+                let (lens, scale) = fit_camera(camera, image.camera_id, dir, take, reporter)?;
+                result.lenses.insert(image.camera_id, lens);
+                *slot.insert(scale)
+            }
+        };
         let mut points = image.points;
         for p in &mut points {
             p.position_px = [p.position_px[0] * scale.x, p.position_px[1] * scale.y];
         }
         frame_of_image.insert(id, frame);
-        result.frames.insert(frame, PlacedFrame { lens: image.camera_id, camera_from_world: image.camera_from_world, points });
+        result
+            .frames
+            .insert(frame, PlacedFrame { lens: image.camera_id, camera_from_world: image.camera_from_world, points });
     }
     if result.frames.is_empty() {
         return Err(TrackerError::NoModelFrame { dir: dir.to_owned(), images, frames: take.frames.len() });
@@ -181,7 +188,10 @@ fn fit_to_take(
     if duplicates > 0 {
         reporter.warn(Warning::new(
             "duplicate-image",
-            format!("{}: {duplicates} images name a frame that another image has already; the first one counts", dir.display()),
+            format!(
+                "{}: {duplicates} images name a frame that another image has already; the first one counts",
+                dir.display()
+            ),
         ));
     }
     result.points = model.points;
@@ -218,7 +228,8 @@ fn fit_camera(
 ) -> Result<(Intrinsics, DVec2)> {
     let (width, height) = (take.manifest.width, take.manifest.height);
     let lens = camera.intrinsics().map_err(|e| e.in_file(dir))?;
-    let scale = DVec2::new(f64::from(width) / camera.width.max(1) as f64, f64::from(height) / camera.height.max(1) as f64);
+    let scale =
+        DVec2::new(f64::from(width) / camera.width.max(1) as f64, f64::from(height) / camera.height.max(1) as f64);
     if scale == DVec2::ONE {
         return Ok((lens, scale));
     }
@@ -236,7 +247,10 @@ fn fit_camera(
     }
     reporter.warn(Warning::new(
         "model-scaled",
-        format!("the model was made at {}×{}; its camera {id} was scaled to the take's {width}×{height}", camera.width, camera.height),
+        format!(
+            "the model was made at {}×{}; its camera {id} was scaled to the take's {width}×{height}",
+            camera.width, camera.height
+        ),
     ));
     let lens = Intrinsics {
         width,

@@ -5,7 +5,10 @@ use risorius_formats::report::Collected;
 fn model(width: u64, height: u64, names: &[&str]) -> Model {
     let camera = ModelCamera { model: "PINHOLE".into(), width, height, params: vec![120.0, 130.0, 40.0, 30.0] };
     let image = |(i, name): (usize, &&str)| {
-        let points = vec![Point2d { position_px: [10.0, 20.0], point3d: Some(5) }, Point2d { position_px: [1.0, 2.0], point3d: None }];
+        let points = vec![
+            Point2d { position_px: [10.0, 20.0], point3d: Some(5) },
+            Point2d { position_px: [1.0, 2.0], point3d: None },
+        ];
         let pose = Isometry::new(glam::DMat3::IDENTITY, DVec3::new(i as f64, 0.0, 0.0));
         (i as u32 + 11, ModelImage { camera_from_world: pose, camera_id: 3, name: (*name).to_owned(), points })
     };
@@ -29,7 +32,10 @@ fn images_are_matched_by_their_digits_and_tracks_follow() {
     let dir = tempfile::tempdir().unwrap();
     let at = dir.path().join("model");
     // Frame 7 twice, one image beyond the take, one without a number.
-    write(&at, &model(80, 60, &["frame_000007.png", "a/frame_000002.png", "frame_000012.png", "face.png", "b/0007.png"]));
+    write(
+        &at,
+        &model(80, 60, &["frame_000007.png", "a/frame_000002.png", "frame_000012.png", "face.png", "b/0007.png"]),
+    );
     let heard = Collected::default();
     let found = load(&at, &take(dir.path()), 0, &heard).unwrap();
     assert_eq!(found.model.frames.keys().copied().collect::<Vec<_>>(), [2, 7]);

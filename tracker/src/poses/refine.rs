@@ -69,6 +69,23 @@ impl Linear {
     }
 }
 
+/// What is known about a pose beforehand.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Prior {
+    /// The most likely pose.
+    pub(crate) pose: Isometry,
+    /// Deviations of the twist from it to the pose, rotation first.
+    pub(crate) sigma: [f64; 6],
+}
+
+impl Prior {
+    /// The twist from the prior to `pose`, in deviations.
+    fn deviations(&self, pose: &Isometry) -> Vector6<f64> {
+        let twist = se3::log(&pose.compose(&self.pose.inverse())).to_array();
+        Vector6::from_fn(|i, _| twist[i] / self.sigma[i])
+    }
+}
+
 fn frame_loss(lens: &Intrinsics, pose: &Isometry, shape: &[DVec3], points: &[RigidPoint], view: &FrameView) -> f64 {
     let loss = |(k, &pixel): (usize, &DVec2)| {
         residual(lens, pose, shape[k], pixel, points[k].sigma_px).map_or(1e6, |l| l.loss())
@@ -81,16 +98,20 @@ fn moved(pose: &Isometry, step: &Vector6<f64>) -> Isometry {
     se3::exp(step).compose(pose)
 }
 
-/// The pose that fits the projections best, starting from `pose`.
+/// The pose that fits the projections (and the prior) best, starting from `pose`.
 pub(crate) fn refine_pose(
     lens: &Intrinsics,
     pose: Isometry,
     shape: &[DVec3],
     points: &[RigidPoint],
     view: &FrameView,
+    prior: Option<&Prior>,
 ) -> Isometry {
+    let total = |pose: &Isometry| {
+        frame_loss(lens, pose, shape, points, view) + prior.map_or(0.0, |p| p.deviations(pose).norm_squared())
+    };
     let mut pose = pose;
-    let mut loss = frame_loss(lens, &pose, shape, points, view);
+    let mut loss = total(&pose);
     let mut damping = 1e-4;
     for _ in 0..30 {
         let mut h = Matrix6::<f64>::zeros();
@@ -100,13 +121,21 @@ pub(crate) fn refine_pose(
             h += l.by_pose.transpose() * l.by_pose * l.weight;
             g += l.by_pose.transpose() * l.value * l.weight;
         }
+        if let Some(prior) = prior {
+            // The derivative of the twist by a small left step is the identity, next to the prior.
+            let deviations = prior.deviations(&pose);
+            for i in 0..6 {
+                h[(i, i)] += 1.0 / (prior.sigma[i] * prior.sigma[i]);
+                g[i] += deviations[i] / prior.sigma[i];
+            }
+        }
         let mut damped = h;
         for i in 0..6 {
             damped[(i, i)] += damping * h[(i, i)].max(1e-12);
         }
         let Some(step) = damped.cholesky().map(|c| -c.solve(&g)) else { break };
         let candidate = moved(&pose, &step);
-        let next = frame_loss(lens, &candidate, shape, points, view);
+        let next = total(&candidate);
         if next <= loss {
             let gain = loss - next;
             pose = candidate;
@@ -223,8 +252,11 @@ impl Bundle<'_> {
     /// The normal equations of a few frames with their poses eliminated.
     fn reduce(&self, poses: &[Isometry], views: &[FrameView], shape: &[DVec3], damping: f64) -> Reduced {
         let n = shape.len();
-        let mut sum =
-            Reduced { h: DMatrix::zeros(3 * n, 3 * n), g: DVector::zeros(3 * n), frames: Vec::with_capacity(poses.len()) };
+        let mut sum = Reduced {
+            h: DMatrix::zeros(3 * n, 3 * n),
+            g: DVector::zeros(3 * n),
+            frames: Vec::with_capacity(poses.len()),
+        };
         for (pose, view) in poses.iter().zip(views) {
             let mut h = Matrix6::<f64>::zeros();
             let mut g = Vector6::<f64>::zeros();
@@ -249,9 +281,9 @@ impl Bundle<'_> {
                 let left = cross[i].transpose() * inverse;
                 let mut rows = sum.g.fixed_rows_mut::<3>(3 * i);
                 rows -= left * g;
-                for j in 0..n {
+                for (j, right) in cross.iter().enumerate() {
                     let mut block = sum.h.fixed_view_mut::<3, 3>(3 * i, 3 * j);
-                    block -= left * cross[j];
+                    block -= left * right;
                 }
             }
             sum.frames.push(FrameStep { inverse, g, cross });

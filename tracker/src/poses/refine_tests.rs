@@ -42,13 +42,29 @@ fn one_pose_is_found_from_exact_points_in_spite_of_a_wild_one() {
     let truth = pose(0.8);
     let start = moved(&truth, &Vector6::new(0.1, -0.15, 0.08, 0.01, -0.02, 0.05));
     let exact = view(&truth, &face(), |_| DVec2::ZERO);
-    let found = refine_pose(&lens(), start, &face(), &points(), &exact);
+    let found = refine_pose(&lens(), start, &face(), &points(), &exact, None);
     assert!((found.translation - truth.translation).length() < 1e-6);
     assert!(se3::rotation_angle(&(found.rotation * truth.rotation.transpose())) < 1e-6);
     let wild = view(&truth, &face(), |k| if k == 3 { DVec2::new(40.0, -30.0) } else { DVec2::ZERO });
-    let found = refine_pose(&lens(), start, &face(), &points(), &wild);
+    let found = refine_pose(&lens(), start, &face(), &points(), &wild, None);
     let angle = se3::rotation_angle(&(found.rotation * truth.rotation.transpose()));
     assert!(angle < 0.01, "{angle}");
+}
+
+#[test]
+fn a_prior_holds_what_the_points_cannot_tell() {
+    let truth = pose(0.8);
+    let exact = view(&truth, &face(), |_| DVec2::ZERO);
+    let off = moved(&truth, &Vector6::new(0.0, 0.02, 0.0, 0.0, 0.0, 0.01));
+    // One point fixes two of six numbers; a firm prior keeps the others.
+    let one = FrameView { pixels: exact.pixels[..1].to_vec() };
+    let prior = Prior { pose: off, sigma: [1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3] };
+    let found = refine_pose(&lens(), off, &face()[..1], &points()[..1], &one, Some(&prior));
+    assert!((found.translation.z - off.translation.z).abs() < 2e-3);
+    // A loose one gives way to ten exact points.
+    let prior = Prior { pose: off, sigma: [10.0; 6] };
+    let found = refine_pose(&lens(), off, &face(), &points(), &exact, Some(&prior));
+    assert!((found.translation - truth.translation).length() < 1e-5);
 }
 
 #[test]
@@ -76,12 +92,15 @@ fn the_adjustment_finds_shape_and_poses_from_a_generic_shape() {
     let truth_poses: Vec<Isometry> = (0..150).map(|i| pose(f64::from(i) * 0.1)).collect();
     let views: Vec<FrameView> = truth_poses.iter().map(|p| view(p, &face(), |_| DVec2::ZERO)).collect();
     // A generic shape: 3 mm off here and there; poses that fit it.
-    let mut shape: Vec<DVec3> =
-        face().iter().enumerate().map(|(k, p)| *p + DVec3::new((k as f64).sin(), (k as f64 * 2.0).cos(), (k as f64 * 3.0).sin()) * 3e-3).collect();
+    let mut shape: Vec<DVec3> = face()
+        .iter()
+        .enumerate()
+        .map(|(k, p)| *p + DVec3::new((k as f64).sin(), (k as f64 * 2.0).cos(), (k as f64 * 3.0).sin()) * 3e-3)
+        .collect();
     let points = points();
     let lens = lens();
     let mut poses: Vec<Isometry> =
-        truth_poses.iter().zip(&views).map(|(p, v)| refine_pose(&lens, *p, &shape, &points, v)).collect();
+        truth_poses.iter().zip(&views).map(|(p, v)| refine_pose(&lens, *p, &shape, &points, v, None)).collect();
     let bundle = Bundle { lens: &lens, points: &points, views: &views, shape_sigma: 0.02 };
     let before = bundle.loss(&poses, &shape, &shape);
     bundle.adjust(&mut poses, &mut shape, 40);

@@ -65,7 +65,8 @@ mod tests {
     }
 
     fn rms(a: &[Isometry], b: &[Isometry]) -> f64 {
-        let angle = |(a, b): (&Isometry, &Isometry)| se3::rotation_angle(&(a.rotation * b.rotation.transpose())).powi(2);
+        let angle =
+            |(a, b): (&Isometry, &Isometry)| se3::rotation_angle(&(a.rotation * b.rotation.transpose())).powi(2);
         (a.iter().zip(b).map(angle).sum::<f64>() / a.len() as f64).sqrt()
     }
 

@@ -135,8 +135,10 @@ mod tests {
     #[test]
     fn exact_views_give_the_exact_point_through_distortion() {
         let truth = DVec3::new(0.1, -0.2, 0.3);
-        let views: Vec<View> =
-            (-4..=4).map(|i| f64::from(i) * 0.1).map(|x| View::new(&camera(x), camera(x).project(truth)).unwrap()).collect();
+        let views: Vec<View> = (-4..=4)
+            .map(|i| f64::from(i) * 0.1)
+            .map(|x| View::new(&camera(x), camera(x).project(truth)).unwrap())
+            .collect();
         let found = triangulate(&views).unwrap();
         assert!((found.point - truth).length() < 1e-8, "{}", found.point);
         assert!(found.median_error_px < 1e-5 && found.parallax_rad > 0.05);

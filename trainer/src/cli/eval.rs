@@ -14,7 +14,7 @@ use crate::jobs::render::{Sink, evaluate, render, shots_of_views};
 /// Options of `trainer eval`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  trainer eval runs/ada --views test/views.json\n  trainer eval runs/ada\n  trainer eval runs/ada --views test/views.json --renders renders")]
-pub struct EvalArgs {
+pub(super) struct EvalArgs {
     /// The run's folder
     run: PathBuf,
     /// Views with true images [default: the dataset's validation frames]
@@ -40,7 +40,7 @@ pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
             let avatar = Avatar::open(&args.run, &args.device.device()?)?;
             let with_truth = ViewList { views: views.views.iter().filter(|v| v.image.is_some()).cloned().collect() };
             let shots = shots_of_views(&avatar, &with_truth, console);
-            let sink = Sink { folder: Some(folder.join("renders")), video: None };
+            let sink = Sink { folder: Some(folder.join("renders")), video: None, full: false };
             render(&avatar, &shots, &sink, console, |_, picture| Ok(picture))?;
             folder.join("renders")
         }

@@ -32,6 +32,8 @@ pub struct Sink {
     pub folder: Option<PathBuf>,
     /// A video of all pictures in order, with its frame rate.
     pub video: Option<(PathBuf, f64)>,
+    /// Whether every pixel is rendered, also where the view is finer than the fitted images.
+    pub full: bool,
 }
 
 /// What was rendered.
@@ -88,7 +90,7 @@ pub fn render(
         if reporter.cancelled() {
             return Err(TrainerError::Interrupted { done: format!("{i} of {} pictures", shots.len()) });
         }
-        let picture = adorn(i, avatar.render(&shot.camera, &shot.attributes, reporter)?.rgb)?;
+        let picture = adorn(i, avatar.picture(&shot.camera, &shot.attributes, sink.full, reporter)?)?;
         if let Some(folder) = &sink.folder {
             write_png(&folder.join(format!("{}.png", shot.id)), &picture)?;
         }

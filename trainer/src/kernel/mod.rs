@@ -34,7 +34,7 @@ use burn::tensor::{DType, Tensor};
 
 /// Rows that go through all layers together. Big enough to amortise reading the weights, small enough that the
 /// activations of all layers stay in the second-level cache.
-const TILE_ROWS: usize = 128;
+const TILE_ROWS: usize = 256;
 
 /// Most chunks a batch is split into: enough for any desktop's cores, few enough that summing the chunks' parameter
 /// gradients costs nothing.

@@ -10,7 +10,7 @@ use crate::kernel::scalar::Scalar;
 use crate::kernel::{TILE_ROWS, chunk_rows};
 
 /// Fewest rows of a chunk, so that its parameter gradients are worth their memory.
-const CHUNK_ROWS: usize = 4 * TILE_ROWS;
+const CHUNK_ROWS: usize = 2 * TILE_ROWS;
 
 /// Which gradients are asked for.
 #[derive(Debug, Clone, Copy)]

@@ -1,0 +1,134 @@
+//! Import and poses on the development data: a capture with exact truth and two real clips.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use risorius_formats::report::Collected;
+use risorius_formats::take::{SourceKind, TAKE_VERSION};
+use risorius_formats::{FrameIndex, FrameRecord, TakeManifest, colmap, frame};
+use risorius_tracker::check::{self, Reference};
+use risorius_tracker::import::{ImportOptions, import};
+use risorius_tracker::poses::head::{HeadOptions, SMOOTH_SECS};
+use risorius_tracker::poses::{self, PosesOptions, Source, interpolate::MAX_GAP_SECS};
+
+fn shared(path: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("RISORIUS_SHARED")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
+    let path = root.join("data").join(path);
+    if path.exists() {
+        return Some(path);
+    }
+    eprintln!("SKIPPED: {} not found", path.display());
+    None
+}
+
+/// A take without its video, which neither import nor these poses need.
+fn take(dir: &Path, width: u32, height: u32, frames: u32, fps: f64) -> PathBuf {
+    let dir = dir.join("take");
+    fs::create_dir_all(&dir).unwrap();
+    let manifest = TakeManifest {
+        version: TAKE_VERSION,
+        subject: String::new(),
+        consent: String::new(),
+        source: SourceKind::Video,
+        media: "video.mp4".into(),
+        media_sha256: String::new(),
+        original_name: "video.mp4".into(),
+        device: None,
+        width,
+        height,
+        rotation_degrees: 0,
+        fps_asked: Some(fps),
+        fps_measured: fps,
+        frame_count: frames,
+        dropped_frames: 0,
+        repeated_frames: 0,
+        written_by: "test".into(),
+    };
+    manifest.write(dir.join("take.toml")).unwrap();
+    let record = |i| FrameRecord {
+        index: FrameIndex(i),
+        timestamp_nanos: (f64::from(i) / fps * 1e9).round() as i64,
+        ..FrameRecord::default()
+    };
+    frame::write_frames(dir.join("frames.csv"), &(0..frames).map(record).collect::<Vec<_>>()).unwrap();
+    dir
+}
+
+fn options(source: Source, correct_by_landmarks: bool) -> PosesOptions {
+    PosesOptions { source, min_confidence: 0.8, max_gap_secs: MAX_GAP_SECS, correct_by_landmarks }
+}
+
+fn head_options(refine: bool) -> HeadOptions {
+    HeadOptions { focal_px: None, smooth_secs: SMOOTH_SECS, refine, min_confidence: 0.8 }
+}
+
+#[test]
+fn key_frames_and_landmarks_place_every_frame_of_ada() {
+    let Some(ada) = shared("captures/ada") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let take = take(dir.path(), 540, 960, 2400, 120.0);
+    let summary = import(&take, &ImportOptions::new(ada.join("openface.csv")), &Collected::default()).unwrap();
+    // The README names the ten lost frames.
+    assert_eq!(summary.quality.lost_runs, [[85, 87], [1244, 1244], [1723, 1723], [1974, 1976], [2222, 2223]]);
+    assert!(summary.quality.still_units.is_empty());
+    assert!((summary.table_focal_px.unwrap() - 1152.0).abs() < 5.0);
+    // Every 30th pose of the truth, a quarter of a second apart, as from COLMAP.
+    let mut model = colmap::read_model(ada.join("truth_colmap")).unwrap();
+    model.images.retain(|_, image| FrameIndex::from_image_name(&image.name, 0).unwrap().0.is_multiple_of(30));
+    for image in model.images.values_mut() {
+        image.points.clear();
+    }
+    model.points.clear();
+    let keys = dir.path().join("keys");
+    fs::create_dir(&keys).unwrap();
+    colmap::write_text(&keys, &model).unwrap();
+    let truth = Reference { dir: ada.join("truth_colmap"), first: 0 };
+    let errors = |correct| {
+        let source = Source::Model { dir: keys.clone(), first: 0 };
+        let report = poses::find(&take, &options(source, correct), &Collected::default()).unwrap();
+        // The last key frame is 2370; nothing is extrapolated.
+        assert_eq!((report.frames_registered, report.frames_interpolated), (80, 2371 - 80));
+        check::check(&take, Some(&truth), &Collected::default()).unwrap().reference.unwrap().interpolated.unwrap()
+    };
+    let (spline, corrected) = (errors(false), errors(true));
+    assert!(spline.rotation_deg.mean < 0.3 && spline.position.mean < 0.003, "{spline:?}");
+    assert!(corrected.rotation_deg.mean < 0.2 && corrected.face_shift_px.mean < 0.6, "{corrected:?}");
+    assert!(corrected.face_shift_px.mean < 0.25 * spline.face_shift_px.mean, "{spline:?} {corrected:?}");
+}
+
+#[test]
+fn the_head_route_beats_the_tables_own_poses_on_ada() {
+    let Some(ada) = shared("captures/ada") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let take = take(dir.path(), 540, 960, 2400, 120.0);
+    import(&take, &ImportOptions::new(ada.join("openface.csv")), &Collected::default()).unwrap();
+    let truth = Reference { dir: ada.join("truth_colmap"), first: 0 };
+    let errors = |refine| {
+        poses::find(&take, &options(Source::Head(head_options(refine)), true), &Collected::default()).unwrap();
+        check::check(&take, Some(&truth), &Collected::default()).unwrap().reference.unwrap().all
+    };
+    let (table, refined) = (errors(false), errors(true));
+    assert!(
+        refined.rotation_deg.mean < 0.6 && refined.rotation_deg.mean < table.rotation_deg.mean,
+        "{table:?} {refined:?}"
+    );
+}
+
+#[test]
+fn the_head_route_fits_real_clips_better_than_the_tables_poses() {
+    for (name, size, frames) in [("d6", 480, 1008), ("d3", 512, 354)] {
+        let Some(table) = shared(&format!("video/liveportrait_driving_{name}.openface.csv")) else { return };
+        let dir = tempfile::tempdir().unwrap();
+        let take = take(dir.path(), size, size, frames, 30.0);
+        let summary = import(&take, &ImportOptions::new(table), &Collected::default()).unwrap();
+        let still: Vec<String> = summary.quality.still_units.iter().map(ToString::to_string).collect();
+        assert!(still.contains(&"AU06".to_owned()) && still.contains(&"AU09".to_owned()), "{still:?}");
+        let error = |refine| {
+            let source = Source::Head(head_options(refine));
+            poses::find(&take, &options(source, true), &Collected::default()).unwrap().landmark_error_px.unwrap()
+        };
+        let (before, after) = (error(false), error(true));
+        assert!(after < before, "{name}: {before} {after}");
+    }
+}
