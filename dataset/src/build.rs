@@ -5,131 +5,27 @@
 //!              → balanced choice → pictures, masks, cameras, annotations, report
 //! ```
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use risorius_formats::atomic::AtomicDir;
-use risorius_formats::nerfies::{Annotation, Dataset, Extras, FrameMetadata};
-use risorius_formats::pose_report::{PoseMethod, write_json};
+use risorius_formats::pose_report::write_json;
 use risorius_formats::{ActionUnit, AttributeSpec, AttributeTable, Camera, RegionTable, Reporter, Warning};
-use serde::{Deserialize, Serialize};
 
 use crate::align::{self, Similarity, TakeInput};
 use crate::balance::{self, BalanceOptions};
+use crate::describe::{describe, head_hull};
 use crate::error::{DatasetError, Result};
 use crate::neutral;
+use crate::options::{BuildOptions, Sampling};
 use crate::package::{self, Job};
 use crate::regions::{self, RegionStyle, Rejection, Shape};
 use crate::scale;
-use crate::scene;
 use crate::sheet;
 use crate::signals::{self, Signals};
 use crate::stats::{self, Report};
 
-/// How frames are chosen.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Sampling {
-    /// About as many of every (AU, intensity) block as there can be.
-    #[default]
-    Balanced,
-    /// Evenly over time: the baseline.
-    Uniform,
-}
-
-/// What `dataset build` is asked for. `report/settings.toml` keeps it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct BuildOptions {
-    /// How frames are chosen.
-    pub sampling: Sampling,
-    /// How many frames are wanted.
-    pub frames: usize,
-    /// The image scale that fitting uses unless told otherwise: 1, 2, 4 or 8.
-    pub scale: u32,
-    /// The image scales that are written.
-    pub scales: Vec<u32>,
-    /// Intensity levels per AU.
-    pub levels: usize,
-    /// Whether frames that other blocks took count against a block's quota.
-    pub count_existing: bool,
-    /// Rows below this confidence are not trusted, 0–1.
-    pub min_confidence: f32,
-    /// Whether every frame is for fitting and none is held out.
-    pub no_val: bool,
-    /// The regions and their AUs; those that the tracks lack are left out.
-    pub regions: RegionTable,
-}
-
-impl Default for BuildOptions {
-    fn default() -> Self {
-        Self {
-            sampling: Sampling::Balanced,
-            frames: 750,
-            scale: 4,
-            scales: vec![4, 8],
-            levels: 6,
-            count_existing: false,
-            min_confidence: 0.8,
-            no_val: false,
-            regions: RegionTable::paper(),
-        }
-    }
-}
-
-impl BuildOptions {
-    /// The scales written unless told otherwise: `scale` and everything coarser. 1x is large and rarely needed.
-    pub fn scales_from(scale: u32) -> Vec<u32> {
-        SCALES.into_iter().filter(|&s| s >= scale).collect()
-    }
-
-    fn check(&self) -> Result<()> {
-        let fail = |message: String, hint: &str| Err(DatasetError::Option { message, hint: hint.to_owned() });
-        if let Some(bad) = self.scales.iter().chain([&self.scale]).find(|s| !SCALES.contains(s)) {
-            return fail(
-                format!("the scale {bad} is not one that the family of loaders knows"),
-                "scales are 1, 2, 4 and 8",
-            );
-        }
-        if !self.scales.contains(&self.scale) {
-            return fail(format!("scale {} is not among the scales to write", self.scale), "add it to `--scales`");
-        }
-        if self.frames < 2 {
-            return fail(
-                format!("{} frames make no dataset", self.frames),
-                "ask for a few hundred, such as `--frames 750`",
-            );
-        }
-        if !(2..=101).contains(&self.levels) {
-            return fail(
-                format!("{} intensity levels are out of 2 to 101", self.levels),
-                "6 levels are whole steps of the 0–5 scale",
-            );
-        }
-        if !(0.0..=1.0).contains(&self.min_confidence) {
-            return fail(
-                format!("the confidence limit {} is out of 0 to 1", self.min_confidence),
-                "OpenFace's authors use 0.8",
-            );
-        }
-        self.regions.validate()?;
-        for (i, region) in self.regions.regions.iter().enumerate() {
-            if Shape::from_name(&region.name).is_none()
-                || self.regions.regions[..i].iter().any(|r| r.name == region.name)
-            {
-                return fail(
-                    format!("the region `{}` has no outline of its own", region.name),
-                    "regions are `brow`, `eye` and `mouth`, each at most once",
-                );
-            }
-        }
-        Ok(())
-    }
-}
-
-/// The scales of the family.
-pub const SCALES: [u32; 4] = [1, 2, 4, 8];
 /// Frame numbers of the second take start here, those of the third at twice this, and so on.
 pub const TAKE_OFFSET: u32 = 1_000_000;
 /// Every so many chosen frames one is held out.
@@ -140,12 +36,12 @@ pub const VAL_FIRST: usize = 10;
 const MAX_WORLD_MISFIT: f64 = 0.1;
 
 /// A frame that may be chosen.
-struct Candidate {
-    take: usize,
-    frame: u32,
-    intensities: Vec<f32>,
-    camera: Camera,
-    polygons: Result<risorius_formats::nerfies::Polygons, Rejection>,
+pub(crate) struct Candidate {
+    pub(crate) take: usize,
+    pub(crate) frame: u32,
+    pub(crate) intensities: Vec<f32>,
+    pub(crate) camera: Camera,
+    pub(crate) polygons: Result<risorius_formats::nerfies::Polygons, Rejection>,
 }
 
 /// Builds a dataset in the folder `out` and returns what `report/stats.json` says.
@@ -453,75 +349,4 @@ fn choose(
     chosen.extend(balance::spread(poor.len(), missing).into_iter().map(|i| poor[i]));
     chosen.sort_unstable();
     chosen
-}
-
-/// Corners of the head's hull in the common world; only where the head route found the cameras.
-fn head_hull(input: &TakeInput, world: &Similarity) -> Option<Vec<glam::DVec3>> {
-    let hull = input.report.head_hull_in_world.as_ref().filter(|_| input.report.method == PoseMethod::Head)?;
-    Some(hull.iter().map(|&p| world.transform_point(p)).collect())
-}
-
-fn describe(
-    inputs: &[TakeInput],
-    worlds: &[Similarity],
-    candidates: &[Candidate],
-    chosen: &[usize],
-    table: &AttributeTable,
-    options: &BuildOptions,
-    size: (u32, u32),
-) -> Dataset {
-    let number = |c: &Candidate| c.take as u32 * TAKE_OFFSET + c.frame;
-    let widest = chosen.iter().map(|&c| number(&candidates[c])).max().unwrap_or(0);
-    let digits = widest.to_string().len().max(6);
-    let ids: Vec<String> = chosen.iter().map(|&c| format!("{:0digits$}", number(&candidates[c]))).collect();
-    let is_val = |place: usize| !options.no_val && place % VAL_INTERVAL == VAL_FIRST;
-    let mut dataset = Dataset {
-        train_ids: Vec::new(),
-        val_ids: Vec::new(),
-        metadata: BTreeMap::new(),
-        cameras: BTreeMap::new(),
-        scene: risorius_formats::SceneBounds { center_in_world: glam::DVec3::ZERO, scale: 1.0, near: 0.1, far: 1.0 },
-        mapping: table.attributes.iter().map(|a| a.unit.to_string()).collect(),
-        annotations: Vec::new(),
-        extras: None,
-        ids,
-    };
-    for (place, &index) in chosen.iter().enumerate() {
-        let (candidate, id) = (&candidates[index], &dataset.ids[place]);
-        // A held-out frame gets the place that it would have among the frames for fitting.
-        let warp_id = dataset.train_ids.len() as u32;
-        let list = if is_val(place) { &mut dataset.val_ids } else { &mut dataset.train_ids };
-        list.push(id.clone());
-        let time_id = Some(number(candidate));
-        dataset.metadata.insert(
-            id.clone(),
-            FrameMetadata { warp_id, appearance_id: warp_id, camera_id: candidate.take as u32, time_id },
-        );
-        let mut camera = candidate.camera;
-        (camera.intrinsics.width, camera.intrinsics.height) = size;
-        dataset.cameras.insert(id.clone(), camera);
-        for (class, (spec, &intensity)) in table.attributes.iter().zip(&candidate.intensities).enumerate() {
-            dataset.annotations.push(Annotation {
-                class,
-                frame: number(candidate),
-                value: spec.attribute_from_intensity(intensity),
-            });
-        }
-    }
-    dataset.scene = scene::bounds(inputs, worlds, dataset.cameras.values());
-    let first = &inputs[0].report;
-    let rejected = chosen.iter().zip(&dataset.ids).filter(|(c, _)| candidates[**c].polygons.is_err());
-    dataset.extras = Some(Extras {
-        version: 1,
-        default_scale: options.scale,
-        method: first.method,
-        head_center: first.head_center,
-        head_radius: first.head_radius,
-        head_hull_in_world: head_hull(&inputs[0], &worlds[0]),
-        units_per_metre: first.units_per_metre,
-        takes: inputs.iter().map(|i| i.name.clone()).collect(),
-        ids_without_masks: rejected.map(|(_, id)| id.clone()).collect(),
-        written_by: concat!("risorius-dataset ", env!("CARGO_PKG_VERSION")).to_owned(),
-    });
-    dataset
 }

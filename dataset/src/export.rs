@@ -14,6 +14,9 @@ use serde::Serialize;
 use crate::error::{DatasetError, Result};
 use crate::{SCALES, TAKE_OFFSET};
 
+/// A number of a camera.
+type OfCamera<'a> = &'a dyn Fn(&Camera) -> f64;
+
 /// A layout to export to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
@@ -249,7 +252,7 @@ fn to_parquet(dataset: &Dataset, dir: &Path, out: &Path) -> Result<usize> {
     let of_camera = |f: &dyn Fn(&Camera) -> f64| ids.iter().map(|id| f(&dataset.cameras[id])).collect::<Vec<f64>>();
     columns.push(column("width", ids.iter().map(|id| dataset.cameras[id].intrinsics.width).collect::<Vec<_>>()));
     columns.push(column("height", ids.iter().map(|id| dataset.cameras[id].intrinsics.height).collect::<Vec<_>>()));
-    let numbers: [(&str, &dyn Fn(&Camera) -> f64); 19] = [
+    let numbers: [(&str, OfCamera<'_>); 19] = [
         ("fx", &|c| c.intrinsics.fx),
         ("fy", &|c| c.intrinsics.fy),
         ("cx", &|c| c.intrinsics.cx),

@@ -26,8 +26,11 @@ pub mod stats;
 pub mod verify;
 
 mod build;
+mod describe;
+mod options;
 mod package;
 
-pub use build::{BuildOptions, SCALES, Sampling, TAKE_OFFSET, VAL_FIRST, VAL_INTERVAL, build};
+pub use build::{TAKE_OFFSET, VAL_FIRST, VAL_INTERVAL, build};
 pub use error::{DatasetError, Result};
+pub use options::{BuildOptions, SCALES, Sampling};
 pub use stats::Report;

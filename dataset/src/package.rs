@@ -51,13 +51,13 @@ pub(crate) fn write_pictures(
     reporter: &dyn Reporter,
 ) -> Result<Vec<Thumbnail>> {
     for &s in scales {
-        create(nerfies::rgb_path(dir, s, "x"))?;
-        create(nerfies::region_path(dir, s, "x"))?;
+        create_parent(&nerfies::rgb_path(dir, s, "x"))?;
+        create_parent(&nerfies::region_path(dir, s, "x"))?;
         if jobs.iter().any(|j| j.hull.is_some()) {
-            create(nerfies::valid_path(dir, s, "x"))?;
+            create_parent(&nerfies::valid_path(dir, s, "x"))?;
         }
     }
-    create(nerfies::polygons_path(dir, "x"))?;
+    create_parent(&nerfies::polygons_path(dir, "x"))?;
     reporter.stage("write pictures", Some(jobs.len() as u64));
     let mut thumbnails = Vec::new();
     for (take, input) in inputs.iter().enumerate() {
@@ -67,7 +67,7 @@ pub(crate) fn write_pictures(
     Ok(thumbnails)
 }
 
-fn create(file: std::path::PathBuf) -> Result<()> {
+fn create_parent(file: &Path) -> Result<()> {
     let Some(parent) = file.parent() else { return Ok(()) };
     std::fs::create_dir_all(parent).map_err(|e| FormatError::io(parent, "create the folder", &e).into())
 }

@@ -80,7 +80,8 @@ fn panel(area: &Area<'_>, attribute: &AttributeReport, region: usize) -> Result<
     let [before, uniform, after] =
         [&attribute.histogram_before, &attribute.histogram_uniform, &attribute.histogram_after].map(|h| shares(h));
     let top = [&before, &uniform, &after].into_iter().flat_map(|s| &s[1..]).fold(1.0f64, |m, &v| m.max(v)) * 1.05;
-    let state = if attribute.active { format!("rest {:.0} → {:.0} %", before[0], after[0]) } else { "inactive".to_owned() };
+    let state =
+        if attribute.active { format!("rest {:.0} → {:.0} %", before[0], after[0]) } else { "inactive".to_owned() };
     let step = 5.0 / (levels - 1) as f64;
     let mut chart = ChartBuilder::on(area)
         .caption(format!("{} {}: {state}", attribute.unit, attribute.name), ("sans-serif", 11))
@@ -94,7 +95,7 @@ fn panel(area: &Area<'_>, attribute: &AttributeReport, region: usize) -> Result<
         .x_labels(6)
         .y_labels(5)
         .x_label_formatter(&|v| format!("{v:.0}"))
-        .y_label_formatter(&|v| format!("{v:.0}"));
+        .y_label_formatter(&|v| if top < 4.5 { format!("{v:.1}") } else { format!("{v:.0}") });
     mesh.light_line_style(TRANSPARENT).draw().map_err(|e| e.to_string())?;
     let [r, g, b] = raster::region_colour(region as u8 + 1);
     let bars = |values: &[f64], from: f64, to: f64, colour: RGBColor| -> Vec<Rectangle<(f64, f64)>> {
@@ -106,7 +107,8 @@ fn panel(area: &Area<'_>, attribute: &AttributeReport, region: usize) -> Result<
     };
     chart.draw_series(bars(&before, -0.4, 0.0, RGBColor(190, 190, 190))).map_err(|e| e.to_string())?;
     chart.draw_series(bars(&after, 0.0, 0.4, RGBColor(r, g, b))).map_err(|e| e.to_string())?;
-    let line = LineSeries::new(uniform.iter().enumerate().skip(1).map(|(l, &v)| (l as f64 * step, v)), RGBColor(90, 90, 90));
+    let line =
+        LineSeries::new(uniform.iter().enumerate().skip(1).map(|(l, &v)| (l as f64 * step, v)), RGBColor(90, 90, 90));
     chart.draw_series(line).map_err(|e| e.to_string())?;
     Ok(())
 }

@@ -91,7 +91,7 @@ mod tests {
             .collect();
         let mask = hull_mask(&points, &camera);
         // The silhouette of a unit ball at distance 5: tan = 1/√24, radius 20.41 pixels.
-        let area = mask.labels.iter().filter(|&&l| l == 255).count() as f64;
+        let area = mask.share(255) * 200.0 * 100.0;
         let expected = std::f64::consts::PI * 100.0 * 100.0 / 24.0;
         assert!((area / expected - 1.0).abs() < 0.04, "{area} of {expected}");
         assert_eq!((mask.get(100, 50), mask.get(125, 50)), (255, 0));

@@ -14,9 +14,9 @@ pub(crate) fn styles() -> Vec<RegionStyle> {
 /// A schematic face, 100 units wide, its middle at (0, 0).
 pub(crate) fn face(scale: f32, cx: f32, cy: f32) -> Landmarks68 {
     let mut p = [[0.0f32; 2]; 68];
-    for k in 0..17 {
+    for (k, q) in p.iter_mut().enumerate().take(17) {
         let a = std::f32::consts::PI * (1.0 - k as f32 / 16.0);
-        p[k] = [50.0 * a.cos(), -5.0 + 60.0 * a.sin()];
+        *q = [50.0 * a.cos(), -5.0 + 60.0 * a.sin()];
     }
     for k in 0..5 {
         let lift = [0.0, 3.0, 5.0, 4.0, 2.0];

@@ -28,7 +28,7 @@ pub fn reduced(image: &RgbImage, divisor: u32) -> RgbImage {
         return RgbImage::from_raw(w, h, rows.copied().collect()).unwrap_or_default();
     }
     let d = divisor as usize;
-    let count = (divisor * divisor) as u32;
+    let count = divisor * divisor;
     let mut sums = vec![0u32; w as usize * 3];
     let mut out = Vec::with_capacity(w as usize * h as usize * 3);
     for band in source.chunks_exact(stride.max(1) * d).take(h as usize) {

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::align::TakeInput;
 use crate::balance;
-use crate::build::{BuildOptions, Sampling};
+use crate::options::{BuildOptions, Sampling};
 use crate::regions::Rejection;
 use crate::signals::{Signals, TrackCounts};
 

@@ -116,16 +116,12 @@ fn check_annotations(dir: &Path, dataset: &Dataset, verdict: &mut Verdict) {
     }
     let mut numbers: BTreeSet<u32> = BTreeSet::new();
     for id in &dataset.ids {
-        match id.parse() {
-            Ok(n) => drop(numbers.insert(n)),
-            Err(_) => {
-                verdict.add(
-                    dir.join("dataset.json"),
-                    format!("the id `{id}` is not a number, so annotations cannot find it"),
-                );
-                return;
-            }
-        }
+        let Ok(number) = id.parse() else {
+            verdict
+                .add(dir.join("dataset.json"), format!("the id `{id}` is not a number, so annotations cannot find it"));
+            return;
+        };
+        numbers.insert(number);
     }
     let mut seen = BTreeSet::new();
     let (mut unknown, mut outside, mut twice) = (BTreeSet::new(), 0usize, 0usize);

@@ -1,5 +1,7 @@
 //! `dataset build`, `verify` and `export` on small takes with known answers.
 
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 mod common;
 
 use std::path::Path;
@@ -74,9 +76,13 @@ fn a_take_becomes_a_dataset_that_verifies() {
     let f: u32 = id.parse().unwrap();
     let full = image::open(nerfies::rgb_path(&data, 1, id)).unwrap().to_rgb8();
     let half = image::open(nerfies::rgb_path(&data, 2, id)).unwrap().to_rgb8();
-    assert_eq!((full.width(), full.height(), half.width(), half.height()), (WIDTH / 8 * 8, HEIGHT, WIDTH / 8 * 4, HEIGHT / 2));
+    assert_eq!(
+        (full.width(), full.height(), half.width(), half.height()),
+        (WIDTH / 8 * 8, HEIGHT, WIDTH / 8 * 4, HEIGHT / 2)
+    );
     assert_eq!(*full.get_pixel(31, 40), common::pixel(f, 31, 40));
-    let sum: u32 = [(20, 30), (21, 30), (20, 31), (21, 31)].iter().map(|&(x, y)| u32::from(common::pixel(f, x, y).0[2])).sum();
+    let sum: u32 =
+        [(20, 30), (21, 30), (20, 31), (21, 31)].iter().map(|&(x, y)| u32::from(common::pixel(f, x, y).0[2])).sum();
     assert_eq!(u32::from(half.get_pixel(10, 15).0[2]), (sum + 2) / 4);
 
     // Masks: landmarks in their regions, through the camera that was written.
@@ -337,7 +343,8 @@ fn exports_hold_the_same_frames() {
 
     let transforms = dir.path().join("transforms");
     export(&data, Target::Transforms, &transforms, &Silent).unwrap();
-    let json: serde_json::Value = serde_json::from_slice(&std::fs::read(transforms.join("transforms.json")).unwrap()).unwrap();
+    let json: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(transforms.join("transforms.json")).unwrap()).unwrap();
     let frame = &json["frames"][5];
     let id = &dataset.ids[5];
     assert_eq!(json["frames"].as_array().unwrap().len(), 40);

@@ -115,7 +115,8 @@ impl AttributeTable {
 
     /// Writes `attributes.toml`, whole or not at all.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
-        let text = toml::to_string(self).map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(&path))?;
+        let text =
+            toml::to_string(self).map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(&path))?;
         atomic::write_file(path, text.as_bytes())
     }
 

@@ -131,7 +131,8 @@ impl Distortion {
         let den = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
         let d = num / den;
         // d(d)/d(r²), then the chain through r² = x² + y².
-        let dr = ((k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2)) * den - num * (k4 + r2 * (2.0 * k5 + 3.0 * k6 * r2))) / (den * den);
+        let dr =
+            ((k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2)) * den - num * (k4 + r2 * (2.0 * k5 + 3.0 * k6 * r2))) / (den * den);
         let (dx, dy) = (2.0 * x * dr, 2.0 * y * dr);
         DMat2::from_cols(
             DVec2::new(d + x * dx + 2.0 * p1 * y + 6.0 * p2 * x, y * dx + 2.0 * p2 * y + 2.0 * p1 * x),

@@ -54,7 +54,9 @@ impl FormatError {
     /// An operating-system error at `path`; `doing` is the verb, such as `read` or `create`.
     pub fn io(path: impl AsRef<Path>, doing: &str, source: &std::io::Error) -> Self {
         let hint = match source.kind() {
-            std::io::ErrorKind::NotFound => Some("check the path; relative paths start at the current folder".to_owned()),
+            std::io::ErrorKind::NotFound => {
+                Some("check the path; relative paths start at the current folder".to_owned())
+            }
             std::io::ErrorKind::StorageFull => Some("free some disk space and run the command again".to_owned()),
             std::io::ErrorKind::PermissionDenied => Some("the file or folder belongs to another user".to_owned()),
             _ => None,

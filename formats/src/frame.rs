@@ -114,7 +114,13 @@ mod tests {
         let path = dir.path().join("frames.csv");
         let frames = vec![
             FrameRecord { sharpness: Some(12.5), ..FrameRecord::default() },
-            FrameRecord { index: FrameIndex(1), timestamp_nanos: 8_333_333, dropped_before: 2, repeated: true, ..FrameRecord::default() },
+            FrameRecord {
+                index: FrameIndex(1),
+                timestamp_nanos: 8_333_333,
+                dropped_before: 2,
+                repeated: true,
+                ..FrameRecord::default()
+            },
         ];
         write_frames(&path, &frames).unwrap();
         assert_eq!(read_frames(&path).unwrap(), frames);

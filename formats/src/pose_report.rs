@@ -71,9 +71,8 @@ impl PoseReport {
     /// Reads `poses/report.json`.
     pub fn read(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let bytes = std::fs::read(path).map_err(|e| {
-            FormatError::io(path, "read", &e).with_hint("find the cameras with `tracker poses TAKE`")
-        })?;
+        let bytes = std::fs::read(path)
+            .map_err(|e| FormatError::io(path, "read", &e).with_hint("find the cameras with `tracker poses TAKE`"))?;
         serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(path))
     }
 
@@ -94,7 +93,8 @@ pub fn json_error(error: &serde_json::Error) -> FormatError {
 /// Writes `value` as indented JSON, whole or not at all.
 pub fn write_json<T: Serialize + ?Sized>(path: impl AsRef<Path>, value: &T) -> Result<()> {
     let path = path.as_ref();
-    let mut bytes = serde_json::to_vec_pretty(value).map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(path))?;
+    let mut bytes = serde_json::to_vec_pretty(value)
+        .map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(path))?;
     bytes.push(b'\n');
     atomic::write_file(path, &bytes)
 }

@@ -33,7 +33,8 @@ impl RunManifest {
     pub fn read(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let bytes = std::fs::read(path).map_err(|e| {
-            FormatError::io(path, "read", &e).with_hint("this folder is not a run; make one with `trainer fit DATASET --out RUN`")
+            FormatError::io(path, "read", &e)
+                .with_hint("this folder is not a run; make one with `trainer fit DATASET --out RUN`")
         })?;
         serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(path))
     }

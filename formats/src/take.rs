@@ -69,15 +69,19 @@ impl TakeManifest {
     pub fn parse(text: &str) -> Result<Self> {
         let manifest: Self = toml::from_str(text).map_err(|e| toml_error(&e, text))?;
         if manifest.version > TAKE_VERSION {
-            return Err(FormatError::new(ErrorKind::Unsupported, format!("layout version {} is newer than this program", manifest.version))
-                .with_hint("update Risorius"));
+            return Err(FormatError::new(
+                ErrorKind::Unsupported,
+                format!("layout version {} is newer than this program", manifest.version),
+            )
+            .with_hint("update Risorius"));
         }
         Ok(manifest)
     }
 
     /// Writes `take.toml`, whole or not at all.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
-        let text = toml::to_string(self).map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(&path))?;
+        let text =
+            toml::to_string(self).map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(&path))?;
         atomic::write_file(path, text.as_bytes())
     }
 }
@@ -105,7 +109,8 @@ impl Take {
         }
         let path = dir.join("take.toml");
         let text = std::fs::read_to_string(&path).map_err(|e| {
-            FormatError::io(&path, "read", &e).with_hint("this folder is not a take; make one with `capture record --input VIDEO --out TAKE`")
+            FormatError::io(&path, "read", &e)
+                .with_hint("this folder is not a take; make one with `capture record --input VIDEO --out TAKE`")
         })?;
         let manifest = TakeManifest::parse(&text).map_err(|e| e.in_file(&path))?;
         let frames = frame::read_frames(dir.join("frames.csv"))?;
@@ -141,6 +146,10 @@ impl Take {
 
     /// Frames per second by the timestamps, or the asked rate where there is only one frame.
     pub fn fps(&self) -> f64 {
-        if self.manifest.fps_measured > 0.0 { self.manifest.fps_measured } else { self.manifest.fps_asked.unwrap_or(30.0) }
+        if self.manifest.fps_measured > 0.0 {
+            self.manifest.fps_measured
+        } else {
+            self.manifest.fps_asked.unwrap_or(30.0)
+        }
     }
 }

@@ -20,7 +20,10 @@ impl HeadPose {
     /// `camera_from_head`, millimetres.
     pub fn camera_from_head(&self) -> Isometry {
         let DVec3 { x, y, z } = self.rotation_rad;
-        Isometry::new(DMat3::from_rotation_x(x) * DMat3::from_rotation_y(y) * DMat3::from_rotation_z(z), self.translation_mm)
+        Isometry::new(
+            DMat3::from_rotation_x(x) * DMat3::from_rotation_y(y) * DMat3::from_rotation_z(z),
+            self.translation_mm,
+        )
     }
 
     /// The pose of a `camera_from_head` in millimetres.

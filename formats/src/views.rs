@@ -54,13 +54,19 @@ pub struct ViewCamera {
 
 impl From<&ViewCamera> for Camera {
     fn from(v: &ViewCamera) -> Self {
-        let distortion = Distortion {
-            radial: [v.k1, v.k2, v.k3],
-            radial_denominator: [v.k4, v.k5, v.k6],
-            tangential: [v.p1, v.p2],
-        };
+        let distortion =
+            Distortion { radial: [v.k1, v.k2, v.k3], radial_denominator: [v.k4, v.k5, v.k6], tangential: [v.p1, v.p2] };
         Self {
-            intrinsics: Intrinsics { width: v.width, height: v.height, fx: v.fx, fy: v.fy, cx: v.cx, cy: v.cy, skew: 0.0, distortion },
+            intrinsics: Intrinsics {
+                width: v.width,
+                height: v.height,
+                fx: v.fx,
+                fy: v.fy,
+                cx: v.cx,
+                cy: v.cy,
+                skew: 0.0,
+                distortion,
+            },
             camera_from_world: Isometry::from_rows(v.camera_from_world),
         }
     }
@@ -72,7 +78,23 @@ impl From<&Camera> for ViewCamera {
         let ([k1, k2, k3], [k4, k5, k6], [p1, p2]) =
             (i.distortion.radial, i.distortion.radial_denominator, i.distortion.tangential);
         let camera_from_world = c.camera_from_world.to_rows();
-        Self { width: i.width, height: i.height, fx: i.fx, fy: i.fy, cx: i.cx, cy: i.cy, k1, k2, k3, k4, k5, k6, p1, p2, camera_from_world }
+        Self {
+            width: i.width,
+            height: i.height,
+            fx: i.fx,
+            fy: i.fy,
+            cx: i.cx,
+            cy: i.cy,
+            k1,
+            k2,
+            k3,
+            k4,
+            k5,
+            k6,
+            p1,
+            p2,
+            camera_from_world,
+        }
     }
 }
 
@@ -113,8 +135,11 @@ impl ViewList {
         }
         let mut seen = std::collections::BTreeSet::new();
         for view in &list.views {
-            let fail = |message: String| Err(FormatError::new(ErrorKind::Inconsistent, format!("view `{}`: {message}", view.id)));
-            let plain = !view.id.is_empty() && view.id != ".." && view.id != "." && !view.id.contains(['/', '\\', '\0']);
+            let fail = |message: String| {
+                Err(FormatError::new(ErrorKind::Inconsistent, format!("view `{}`: {message}", view.id)))
+            };
+            let plain =
+                !view.id.is_empty() && view.id != ".." && view.id != "." && !view.id.contains(['/', '\\', '\0']);
             if !plain {
                 return fail("an id must be a plain file name".to_owned());
             }
@@ -123,8 +148,16 @@ impl ViewList {
             }
             let camera = Camera::from(&view.camera);
             let i = &camera.intrinsics;
-            let finite = [i.fx, i.fy, i.cx, i.cy].iter().all(|v| v.is_finite()) && camera.camera_from_world.translation.is_finite();
-            if !finite || i.fx <= 0.0 || i.fy <= 0.0 || i.width == 0 || i.height == 0 || i.width > 16_384 || i.height > 16_384 {
+            let finite = [i.fx, i.fy, i.cx, i.cy].iter().all(|v| v.is_finite())
+                && camera.camera_from_world.translation.is_finite();
+            if !finite
+                || i.fx <= 0.0
+                || i.fy <= 0.0
+                || i.width == 0
+                || i.height == 0
+                || i.width > 16_384
+                || i.height > 16_384
+            {
                 return fail("the camera's size, focal length or position makes no sense".to_owned());
             }
             let skewness = camera.camera_from_world.orthonormality_error();

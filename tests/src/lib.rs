@@ -40,7 +40,9 @@ pub fn run(name: &str, args: &[&str]) -> Output {
     let path = binary(name);
     match Command::new(&path).args(args).output() {
         Ok(output) => output,
-        Err(e) => panic!("{} cannot be started: {e}; build it with `cargo build --release --workspace`", path.display()),
+        Err(e) => {
+            panic!("{} cannot be started: {e}; build it with `cargo build --release --workspace`", path.display())
+        }
     }
 }
 

@@ -1,5 +1,7 @@
 //! Import and poses on the development data: a capture with exact truth and two real clips.
 
+#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a test fails by panicking and says why it is skipped")]
+
 use std::fs;
 use std::path::{Path, PathBuf};
 

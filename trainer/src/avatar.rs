@@ -80,7 +80,13 @@ impl Avatar {
 
     /// The picture of `camera`, rendered no finer than the images that were fitted and enlarged to the asked size:
     /// the field holds no detail beyond them, and every skipped pixel is time saved.
-    pub fn picture(&self, camera: &Camera, attributes: &[f32], full: bool, reporter: &dyn Reporter) -> Result<RgbImage> {
+    pub fn picture(
+        &self,
+        camera: &Camera,
+        attributes: &[f32],
+        full: bool,
+        reporter: &dyn Reporter,
+    ) -> Result<RgbImage> {
         let reduce = if full { 1 } else { self.spare_resolution(camera) };
         let rgb = self.render(&camera.reduced(reduce), attributes, reporter)?.rgb;
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
@@ -117,8 +123,8 @@ impl Avatar {
             let values = self.render_rays(origin, &directions, attributes);
             let stride = 4 + masks.len();
             for ((pixel, _), v) in chunk.iter().zip(values.chunks_exact(stride)) {
-                for c in 0..3 {
-                    rgb.as_mut()[pixel * 3 + c] = (v[c].clamp(0.0, 1.0) * 255.0).round() as u8;
+                for (byte, value) in rgb.as_mut()[pixel * 3..pixel * 3 + 3].iter_mut().zip(v) {
+                    *byte = (value.clamp(0.0, 1.0) * 255.0).round() as u8;
                 }
                 depth[*pixel] = (f64::from(v[3]) / self.saved.space.scale) as f32;
                 for (n, mask) in masks.iter_mut().enumerate() {
@@ -140,7 +146,7 @@ impl Avatar {
         let codes = RayCodes {
             omega: omega.expand([r, latent]),
             alpha: rows(attributes.to_vec(), attributes.len(), device).expand([r, attributes.len()]),
-            directions: rows(directions.iter().flat_map(|d| d.to_array()).collect(), 3, device),
+            directions: rows(directions.iter().flat_map(Vec3::to_array).collect(), 3, device),
         };
         let origins = vec![origin; r];
         let windows = Windows::open(config);
@@ -151,7 +157,14 @@ impl Avatar {
             (out, weights)
         };
         let mut ray = Vec::new();
-        sampling::stratified(&mut ray, *coarse_samples, space.near as f32, space.far as f32, *spacing, None::<&mut ChaCha8Rng>);
+        sampling::stratified(
+            &mut ray,
+            *coarse_samples,
+            space.near as f32,
+            space.far as f32,
+            *spacing,
+            None::<&mut ChaCha8Rng>,
+        );
         let coarse = ray.repeat(r);
         let weights = host(evaluate(Level::Coarse, &coarse).1);
         let mut fine = Vec::with_capacity(r * (coarse_samples + fine_samples));

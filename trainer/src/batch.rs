@@ -76,7 +76,14 @@ pub fn draw(data: &TrainData, space: &NetSpace, rays: usize, region_share: f64, 
     batch
 }
 
-fn push(batch: &mut RayBatch, data: &TrainData, space: &NetSpace, index: usize, frame: &TrainFrame, pixel: usize) -> bool {
+fn push(
+    batch: &mut RayBatch,
+    data: &TrainData,
+    space: &NetSpace,
+    index: usize,
+    frame: &TrainFrame,
+    pixel: usize,
+) -> bool {
     let width = frame.camera.intrinsics.width as usize;
     let position = DVec2::new((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
     let Some(direction) = frame.camera.ray_direction(position) else { return false };

@@ -280,7 +280,9 @@ impl FitSettings {
     pub fn with_steps(mut self, steps: u64) -> Self {
         let steps = steps.max(2);
         let ratio = steps as f64 / self.steps as f64;
-        for schedule in [&mut self.learning_rate, &mut self.attribute_weight, &mut self.hyper_window, &mut self.warp_window] {
+        for schedule in
+            [&mut self.learning_rate, &mut self.attribute_weight, &mut self.hyper_window, &mut self.warp_window]
+        {
             *schedule = schedule.stretched(ratio);
         }
         self.steps = steps;

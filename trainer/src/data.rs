@@ -7,7 +7,7 @@ use image::RgbImage;
 use rayon::prelude::*;
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{self, Dataset, Extras};
-use risorius_formats::{AttributeTable, Camera, Reporter, hash};
+use risorius_formats::{AttributeSpec, AttributeTable, Camera, Reporter, hash};
 
 use crate::error::{Result, TrainerError};
 
@@ -53,9 +53,16 @@ impl TrainData {
         let dir = dir.as_ref();
         let dataset = Dataset::read(dir)?;
         let table = AttributeTable::read(dir.join("attributes.toml"))?;
-        let fail = |message: String, hint: &str| TrainerError::Dataset { path: dir.to_owned(), message, hint: hint.to_owned() };
+        let fail = |message: String, hint: &str| TrainerError::Dataset {
+            path: dir.to_owned(),
+            message,
+            hint: hint.to_owned(),
+        };
         if !dataset.scene.is_valid() {
-            return Err(fail("scene.json states bounds that make no sense".to_owned(), "build the dataset again; near must lie below far"));
+            return Err(fail(
+                "scene.json states bounds that make no sense".to_owned(),
+                "build the dataset again; near must lie below far",
+            ));
         }
         if dataset.train_ids.is_empty() {
             return Err(fail("holds no training frames".to_owned(), "see `dataset verify`"));
@@ -72,8 +79,16 @@ impl TrainData {
             })
             .collect::<Result<Vec<_>>>()?;
         let manifests = ["dataset.json", "metadata.json", "scene.json", "attributes.toml", "annotations.yml"];
-        let hashes: Vec<String> = manifests.iter().filter_map(|name| hash::sha256_of_file(dir.join(name)).ok()).collect();
-        Ok(Self { dir: dir.to_owned(), sha256: hash::sha256_of_bytes(hashes.join(" ").as_bytes()), frames, table, dataset, scale })
+        let hashes: Vec<String> =
+            manifests.iter().filter_map(|name| hash::sha256_of_file(dir.join(name)).ok()).collect();
+        Ok(Self {
+            dir: dir.to_owned(),
+            sha256: hash::sha256_of_bytes(hashes.join(" ").as_bytes()),
+            frames,
+            table,
+            dataset,
+            scale,
+        })
     }
 
     /// Our additions to the dataset, where it is ours.
@@ -83,12 +98,14 @@ impl TrainData {
 
     /// Index of the most neutral frame: the smallest distance of its attributes from the capture's neutral face.
     pub fn neutral_frame(&self) -> usize {
-        let neutral: Vec<f32> = self.table.attributes.iter().map(|a| a.neutral_attribute()).collect();
+        let neutral: Vec<f32> = self.table.attributes.iter().map(AttributeSpec::neutral_attribute).collect();
         let distance = |f: &TrainFrame| match &f.attributes {
             Some(a) => a.iter().zip(&neutral).map(|(a, n)| (a - n).powi(2)).sum(),
             None => f32::INFINITY,
         };
-        (0..self.frames.len()).min_by(|&a, &b| distance(&self.frames[a]).total_cmp(&distance(&self.frames[b]))).unwrap_or(0)
+        (0..self.frames.len())
+            .min_by(|&a, &b| distance(&self.frames[a]).total_cmp(&distance(&self.frames[b])))
+            .unwrap_or(0)
     }
 }
 
@@ -167,7 +184,9 @@ fn annotation_range(dataset: &Dataset, frame: u32) -> std::ops::Range<usize> {
 /// Reads an image file as RGB.
 pub fn read_rgb(path: &Path) -> Result<RgbImage> {
     if !path.is_file() {
-        return Err(risorius_formats::FormatError::new(risorius_formats::ErrorKind::Missing, "does not exist").in_file(path).into());
+        return Err(risorius_formats::FormatError::new(risorius_formats::ErrorKind::Missing, "does not exist")
+            .in_file(path)
+            .into());
     }
     let image = image::open(path).map_err(|e| TrainerError::Image { path: path.to_owned(), message: e.to_string() })?;
     Ok(image.into_rgb8())

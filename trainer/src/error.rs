@@ -84,12 +84,13 @@ impl Hint for TrainerError {
             Self::Format(e) => e.hint(),
             Self::Video(e) => e.hint(),
             Self::Image { .. } => None,
-            Self::Dataset { hint, .. } | Self::Run { hint, .. } | Self::Device { hint, .. } | Self::Setting { hint, .. } => {
-                (!hint.is_empty()).then_some(Cow::Borrowed(hint))
-            }
-            Self::NotFinite { .. } => {
-                Some(Cow::Borrowed("the last checkpoint is whole; resume it with a smaller learning rate, or look at the frame's AUs and camera"))
-            }
+            Self::Dataset { hint, .. }
+            | Self::Run { hint, .. }
+            | Self::Device { hint, .. }
+            | Self::Setting { hint, .. } => (!hint.is_empty()).then_some(Cow::Borrowed(hint)),
+            Self::NotFinite { .. } => Some(Cow::Borrowed(
+                "the last checkpoint is whole; resume it with a smaller learning rate, or look at the frame's AUs and camera",
+            )),
             Self::Interrupted { .. } => Some(Cow::Borrowed("go on with `--resume`")),
         }
     }

@@ -70,7 +70,13 @@ pub fn score(render: &RgbImage, truth: &Path) -> Result<f64> {
     let image = crate::data::read_rgb(truth)?;
     let mse = mse(render, &image).ok_or_else(|| TrainerError::Image {
         path: PathBuf::from(truth),
-        message: format!("is {}×{}, but the render is {}×{}", image.width(), image.height(), render.width(), render.height()),
+        message: format!(
+            "is {}×{}, but the render is {}×{}",
+            image.width(),
+            image.height(),
+            render.width(),
+            render.height()
+        ),
     })?;
     Ok(psnr_from_mse(mse))
 }

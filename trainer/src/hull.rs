@@ -53,7 +53,8 @@ mod tests {
     #[test]
     fn a_square_contains_its_middle_only() {
         let camera = Camera { intrinsics: Intrinsics::pinhole(100, 100, 100.0), camera_from_world: Isometry::IDENTITY };
-        let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (0.0, 0.2)].map(|(x, y)| DVec3::new(x, y, 4.0));
+        let corners =
+            [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (0.0, 0.2)].map(|(x, y)| DVec3::new(x, y, 4.0));
         let outline = Outline::of(&corners, &camera);
         assert_eq!(outline.corners.len(), 4);
         assert!(outline.contains(DVec2::new(50.0, 50.0)) && outline.contains(DVec2::new(26.0, 74.0)));

@@ -1,7 +1,7 @@
 //! The loss terms (eq. 14–17; fact sheet §2.1), always unweighted; weights are applied in one place, [`LossTerms::total`].
 
-use burn::tensor::activation::softplus;
 use burn::tensor::Tensor;
+use burn::tensor::activation::softplus;
 
 use crate::config::LossWeights;
 use crate::fields::BETA_FLOOR;
@@ -94,6 +94,7 @@ pub fn latent(omega: Tensor<2>) -> Tensor<1> {
 }
 
 #[cfg(test)]
+#[allow(clippy::excessive_precision, reason = "check values are kept as published")]
 mod tests {
     use burn::tensor::{Device, TensorData};
 

@@ -105,7 +105,14 @@ pub struct GroupedMlp {
 
 impl GroupedMlp {
     /// `groups` nets with separate weights.
-    pub fn new(groups: usize, d_in: usize, spec: MlpSpec, output_init: Init, rng: &mut impl Rng, device: &Device) -> Self {
+    pub fn new(
+        groups: usize,
+        d_in: usize,
+        spec: MlpSpec,
+        output_init: Init,
+        rng: &mut impl Rng,
+        device: &Device,
+    ) -> Self {
         let shapes: Vec<_> = spec.layers(d_in).collect();
         let init = |i: usize| if i == spec.depth { output_init } else { Init::Glorot };
         let weights = shapes
@@ -150,7 +157,8 @@ impl BranchedNets {
         let branch_spec = MlpSpec { depth: 1, width: branch, skip: None, output: Some(1) };
         Self {
             trunk: GroupedMlp::new(groups, d_in, trunk_spec, Init::Glorot, rng, device),
-            branch: (!plain).then(|| GroupedMlp::new(groups, trunk.width + d_in, branch_spec, Init::Glorot, rng, device)),
+            branch: (!plain)
+                .then(|| GroupedMlp::new(groups, trunk.width + d_in, branch_spec, Init::Glorot, rng, device)),
             groups,
             trunk_width: trunk.width,
         }

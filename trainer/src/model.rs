@@ -159,7 +159,14 @@ impl ConfiesModel {
     }
 
     /// The field at `points` (`[r · s, 3]`, ray after ray).
-    pub fn evaluate(&self, level: Level, points: Tensor<2>, rays: &RayCodes, windows: Windows, with_uncertainty: bool) -> FieldOutputs {
+    pub fn evaluate(
+        &self,
+        level: Level,
+        points: Tensor<2>,
+        rays: &RayCodes,
+        windows: Windows,
+        with_uncertainty: bool,
+    ) -> FieldOutputs {
         let c = &self.config;
         let [r, _] = rays.omega.dims();
         let [n, _] = points.dims();
@@ -169,7 +176,8 @@ impl ConfiesModel {
             t.clone().unsqueeze_dim::<3>(1).expand([r, s, d]).reshape([n, d])
         };
         let omega = per_sample(&rays.omega);
-        let warped = self.deformation.forward(points.clone(), omega.clone(), &encoding::window(c.warp_bands, windows.warp));
+        let warped =
+            self.deformation.forward(points.clone(), omega.clone(), &encoding::window(c.warp_bands, windows.warp));
         let (ambient, rest) = self.ambient.forward(points, per_sample(&rays.alpha), omega);
         let position = encoding::encode(warped, &encoding::open_window(c.template_bands), true);
 
@@ -184,7 +192,7 @@ impl ConfiesModel {
             Level::Fine => &self.fine,
         };
         let (ambient_code, rest_code) = (encode(ambient.clone(), k), encode(rest.clone(), 1));
-        let mask_logits = nets.masks.forward(position.clone(), ambient_code.clone(), rest_code.clone());
+        let mask_logits = nets.masks.forward(&position, &ambient_code, &rest_code);
         let uncertainty = with_uncertainty
             .then(|| nets.uncertainty.forward(position.clone(), ambient_code, rest_code).reshape([r, s, k]));
 

@@ -15,7 +15,14 @@ fn depth(spacing: Spacing, near: f32, far: f32, t: f32) -> f32 {
 /// `samples` depths from near to far into `out`: bin middles, or with an `rng` one random place in each bin.
 ///
 /// Bins lie between the middles of `samples` evenly spaced knots; the first starts at near, the last ends at far.
-pub fn stratified(out: &mut Vec<f32>, samples: usize, near: f32, far: f32, spacing: Spacing, rng: Option<&mut impl Rng>) {
+pub fn stratified(
+    out: &mut Vec<f32>,
+    samples: usize,
+    near: f32,
+    far: f32,
+    spacing: Spacing,
+    rng: Option<&mut impl Rng>,
+) {
     let knot = |k: usize| k as f32 / (samples - 1) as f32;
     let mut rng = rng;
     for k in 0..samples {

@@ -95,7 +95,8 @@ impl SavedModel {
     pub fn read(run: &Path) -> Result<Self> {
         let path = run.join("model.json");
         let bytes = std::fs::read(&path).map_err(|e| {
-            FormatError::io(&path, "read", &e).with_hint("this folder holds no fitted avatar; make one with `trainer fit DATASET --out RUN`")
+            FormatError::io(&path, "read", &e)
+                .with_hint("this folder holds no fitted avatar; make one with `trainer fit DATASET --out RUN`")
         })?;
         Ok(serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(&path))?)
     }
@@ -117,7 +118,11 @@ impl SavedModel {
 }
 
 fn damaged(path: &Path, error: &dyn std::fmt::Display) -> TrainerError {
-    TrainerError::Run { path: path.to_owned(), message: error.to_string(), hint: "fit the avatar again, or resume its last checkpoint".to_owned() }
+    TrainerError::Run {
+        path: path.to_owned(),
+        message: error.to_string(),
+        hint: "fit the avatar again, or resume its last checkpoint".to_owned(),
+    }
 }
 
 /// Gathers every parameter by its path, as little-endian bytes.
@@ -174,7 +179,8 @@ impl ModuleMapper for Filler<'_> {
             self.problem.get_or_insert(format!("`{name}` has shape {:?}, expected {shape:?} of f32", stored.shape()));
             return param;
         }
-        let values: Vec<f32> = stored.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        let values: Vec<f32> =
+            stored.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
         if let Some(bad) = values.iter().find(|v| !v.is_finite()) {
             self.problem.get_or_insert(format!("`{name}` holds {bad}"));
         }

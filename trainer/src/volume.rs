@@ -20,10 +20,8 @@ pub fn weights(density: Tensor<2>, deltas: Tensor<2>) -> Tensor<2> {
     let [r, s] = density.dims();
     let optical = density * deltas;
     // Exclusive sum by shifting: subtracting the last, huge term again would leave nothing but rounding.
-    let before = Tensor::cat(
-        vec![Tensor::zeros([r, 1], &optical.device()), optical.clone().narrow(1, 0, s - 1).cumsum(1)],
-        1,
-    );
+    let before =
+        Tensor::cat(vec![Tensor::zeros([r, 1], &optical.device()), optical.clone().narrow(1, 0, s - 1).cumsum(1)], 1);
     (optical.neg().exp().neg() + 1.0) * before.neg().exp()
 }
 
@@ -47,6 +45,7 @@ pub fn deltas(depths: &[f32], samples: usize) -> Vec<f32> {
 }
 
 #[cfg(test)]
+#[allow(clippy::excessive_precision, reason = "check values are kept as published")]
 mod tests {
     use burn::tensor::{Device, TensorData};
 

@@ -1,5 +1,7 @@
 //! Structural facts of the CoNFies field (fact sheet §5.1 and the end of §8).
 
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::ops::Range;
 
 use burn::module::Module as _;
@@ -73,7 +75,10 @@ impl burn::module::ModuleMapper for Amplify {
             let data = numbers(t.clone());
             let peak = data.iter().fold(0.0f32, |m, v| m.max(v.abs()));
             let scale = if peak > 0.0 && peak < 1e-2 { 0.5 / peak } else { 1.0 };
-            Tensor::from_data(TensorData::new(data.iter().map(|v| v * scale).collect::<Vec<_>>(), t.dims()), &t.device())
+            Tensor::from_data(
+                TensorData::new(data.iter().map(|v| v * scale).collect::<Vec<_>>(), t.dims()),
+                &t.device(),
+            )
         })
     }
 }

@@ -118,21 +118,22 @@ fn read_regions(path: &Path) -> Result<RegionTable, Failure> {
 
 fn summary(report: &Report, out: &Path) -> String {
     let inactive = report.attributes.iter().filter(|a| !a.active).count();
-    let mut text = format!(
-        "{}: {} frames of {} usable ones, {} AUs",
-        out.display(),
-        report.chosen,
-        report.candidates,
-        report.attributes.len() - inactive
-    );
-    if inactive > 0 {
-        text += &format!(" ({inactive} more hardly move)");
-    }
-    text += &format!(
-        "\nvariation of (AU, intensity) block sizes above rest: {:.2} before, {:.2} evenly over time, {:.2} now",
-        report.evenness_before.raised_variation,
-        report.evenness_uniform.raised_variation,
-        report.evenness_after.raised_variation
-    );
-    text + &format!("\nlook at {}", out.join("report").join("contact_sheet.png").display())
+    let more = if inactive > 0 { format!(" ({inactive} more hardly move)") } else { String::new() };
+    [
+        format!(
+            "{}: {} frames of {} usable ones, {} AUs{more}",
+            out.display(),
+            report.chosen,
+            report.candidates,
+            report.attributes.len() - inactive
+        ),
+        format!(
+            "variation of (AU, intensity) block sizes above rest: {:.2} before, {:.2} evenly over time, {:.2} now",
+            report.evenness_before.raised_variation,
+            report.evenness_uniform.raised_variation,
+            report.evenness_after.raised_variation
+        ),
+        format!("look at {}", out.join("report").join("contact_sheet.png").display()),
+    ]
+    .join("\n")
 }

@@ -152,18 +152,15 @@ pub(super) fn verify(args: &VerifyArgs, console: &Console) -> Result<(), Failure
         console.finish(&verdict, &text);
         return Ok(());
     }
-    if !console.is_json() {
-        console.finish(&verdict, text.trim_end());
-    }
     let count = verdict.problems.len();
-    let first = &verdict.problems[0];
     let message = format!("{}: {count} problem{}", args.dataset.display(), if count == 1 { "" } else { "s" });
-    let hint = format!("the first is {}: {}", first.path.display(), first.message);
     if console.is_json() {
-        console.finish(&verdict, "");
-        return Err(Failure::input(message));
+        // stdout is one document, and of a failure it is the error's: it holds the whole list, a line per problem.
+        return Err(Failure::input(format!("{message}\n{}", text.trim_end())));
     }
-    Err(Failure::input(message).with_hint(hint))
+    console.finish(&verdict, text.trim_end());
+    let first = &verdict.problems[0];
+    Err(Failure::input(message).with_hint(format!("the first is {}: {}", first.path.display(), first.message)))
 }
 
 pub(super) fn export(args: &ExportArgs, console: &Console) -> Result<(), Failure> {

@@ -8,7 +8,9 @@ use risorius_formats::au::OPENFACE_INTENSITIES;
 use risorius_formats::colmap::{self, Model, ModelCamera, ModelImage};
 use risorius_formats::pose_report::{PoseMethod, PoseReport};
 use risorius_formats::take::{SourceKind, TAKE_VERSION};
-use risorius_formats::{FrameIndex, FrameRecord, Intrinsics, Isometry, Landmarks68, TakeManifest, Track, TrackRow, frame, openface};
+use risorius_formats::{
+    FrameIndex, FrameRecord, Intrinsics, Isometry, Landmarks68, TakeManifest, Track, TrackRow, frame, openface,
+};
 
 pub(crate) const WIDTH: u32 = 108;
 pub(crate) const HEIGHT: u32 = 120;
@@ -51,7 +53,9 @@ fn face_points() -> [DVec3; 68] {
     for k in 0..5 {
         p[31 + k] = [-0.16 + 0.08 * k as f64, 0.24];
     }
-    for (k, q) in [[-0.18, 0.0], [-0.06, -0.06], [0.06, -0.06], [0.18, 0.0], [0.06, 0.04], [-0.06, 0.04]].into_iter().enumerate() {
+    for (k, q) in
+        [[-0.18, 0.0], [-0.06, -0.06], [0.06, -0.06], [0.18, 0.0], [0.06, 0.04], [-0.06, 0.04]].into_iter().enumerate()
+    {
         p[36 + k] = [-0.44 + q[0], -0.2 + q[1]];
         p[42 + k] = [0.44 + q[0], -0.2 + q[1]];
     }
@@ -73,7 +77,8 @@ pub(crate) fn take() -> Take {
         let angle = 0.15 * (f as f64 * 0.1).sin();
         let pose = Isometry::from_wxyz([(angle / 2.0).cos(), 0.0, (angle / 2.0).sin(), 0.0], DVec3::new(0.0, 0.0, 5.0));
         let points_px = face.map(|p| intrinsics.project(pose.transform_point(p)).to_array().map(|v| v as f32));
-        let image = ModelImage { camera_from_world: pose, camera_id: 1, name: FrameIndex(f).image_name(), points: vec![] };
+        let image =
+            ModelImage { camera_from_world: pose, camera_id: 1, name: FrameIndex(f).image_name(), points: vec![] };
         model.images.insert(f + 1, image);
         rows.push(TrackRow {
             frame: FrameIndex(f),
@@ -109,7 +114,11 @@ pub(crate) fn take() -> Take {
             written_by: "test".into(),
         },
         frames: (0..FRAMES)
-            .map(|f| FrameRecord { index: FrameIndex(f), timestamp_nanos: i64::from(f) * 33_333_333, ..FrameRecord::default() })
+            .map(|f| FrameRecord {
+                index: FrameIndex(f),
+                timestamp_nanos: i64::from(f) * 33_333_333,
+                ..FrameRecord::default()
+            })
             .collect(),
         track: Track { units: OPENFACE_INTENSITIES.to_vec(), presence_units: vec![], rows },
         model,

@@ -104,18 +104,31 @@ fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
         format!("mean PSNR {} dB", number(v, &["mean_psnr_db"]))
     })?;
     if cli.capture.join("driver.mp4").is_file() {
-        bench.stage("record driver", "capture", &["record", "--input", &capture("driver.mp4"), "--out", &driver], |_| String::new())?;
-        bench.stage("import driver", "tracker", &["import", &driver, "--openface", &capture("driver_openface.csv")], |_| String::new())?;
-        bench.stage("transfer", "trainer", &["transfer", &avatar, "--from", &driver, "--fps", "6", "--video", &work("transfer.mp4")], |v| {
-            format!("{} frames of the driver", number(v, &["driver_frames"]))
-        })?;
+        bench.stage(
+            "record driver",
+            "capture",
+            &["record", "--input", &capture("driver.mp4"), "--out", &driver],
+            |_| String::new(),
+        )?;
+        bench.stage(
+            "import driver",
+            "tracker",
+            &["import", &driver, "--openface", &capture("driver_openface.csv")],
+            |_| String::new(),
+        )?;
+        bench.stage(
+            "transfer",
+            "trainer",
+            &["transfer", &avatar, "--from", &driver, "--fps", "6", "--video", &work("transfer.mp4")],
+            |v| format!("{} frames of the driver", number(v, &["driver_frames"])),
+        )?;
     }
 
-    let mut table = "| stage | wall s | CPU s | peak MiB | result |\n|---|---|---|---|---|\n".to_owned();
-    for r in &bench.rows {
-        table += &format!("| {} | {:.1} | {:.1} | {:.0} | {} |\n", r.stage, r.wall_secs, r.cpu_secs, r.peak_mib, r.error);
-    }
-    console.finish(&bench.rows, table.trim_end());
+    let head = "| stage | wall s | CPU s | peak MiB | result |\n|---|---|---|---|---|".to_owned();
+    let line =
+        |r: &Row| format!("| {} | {:.1} | {:.1} | {:.0} | {} |", r.stage, r.wall_secs, r.cpu_secs, r.peak_mib, r.error);
+    let table: Vec<String> = std::iter::once(head).chain(bench.rows.iter().map(line)).collect();
+    console.finish(&bench.rows, &table.join("\n"));
     Ok(())
 }
 
@@ -127,7 +140,13 @@ struct Bench<'a> {
 
 impl Bench<'_> {
     /// Runs `program` beside this one with `--json` and turns its document into words.
-    fn stage(&mut self, stage: &'static str, program: &str, args: &[&str], words: impl Fn(&Value) -> String) -> Result<(), Failure> {
+    fn stage(
+        &mut self,
+        stage: &'static str,
+        program: &str,
+        args: &[&str],
+        words: impl Fn(&Value) -> String,
+    ) -> Result<(), Failure> {
         let command = format!("{program} {}", args.join(" "));
         self.console.say(&command);
         let here = std::env::current_exe().map_err(|e| FormatError::io("/proc/self/exe", "find", &e))?;
@@ -140,12 +159,16 @@ impl Bench<'_> {
             .args(["--json", "-q"])
             .stdout(Stdio::from(file))
             .spawn()
-            .map_err(|e| FormatError::io(program, "start", &e).with_hint("build everything with `cargo build --release --workspace`"))?;
+            .map_err(|e| {
+                FormatError::io(program, "start", &e)
+                    .with_hint("build everything with `cargo build --release --workspace`")
+            })?;
         let used = child.wait4().map_err(|e| FormatError::io(program, "wait for", &e))?;
         let wall_secs = started.elapsed().as_secs_f64();
         let text = std::fs::read(&path).map_err(|e| FormatError::io(&path, "read", &e))?;
         if !used.status.success() {
-            return Err(Failure::input(format!("`{command}` failed")).with_hint(String::from_utf8_lossy(&text).trim().to_owned()));
+            return Err(Failure::input(format!("`{command}` failed"))
+                .with_hint(String::from_utf8_lossy(&text).trim().to_owned()));
         }
         let document = serde_json::from_slice(&text).unwrap_or(Value::Null);
         self.rows.push(Row {

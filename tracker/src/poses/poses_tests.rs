@@ -128,3 +128,23 @@ fn a_camera_that_does_not_move_or_a_missing_track_is_told() {
     let bare = testing::take(&dir.path().join("bare"), 320, 240, 61);
     assert!(matches!(find(&bare, &options(model), &Collected::default()).unwrap_err(), TrackerError::NoTrack { .. }));
 }
+
+#[test]
+fn what_colmap_said_is_kept_when_it_failed_and_older_poses_stay() {
+    use std::os::unix::fs::PermissionsExt;
+    let dir = tempfile::tempdir().unwrap();
+    let take = take(dir.path(), true);
+    let model = dir.path().join("model");
+    write_model(&model, 0..61);
+    find(&take, &options(model), &Collected::default()).unwrap();
+    let program = dir.path().join("colmap");
+    fs::write(&program, "#!/bin/sh\necho 'COLMAP 3.8 -- fake'\n").unwrap();
+    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
+    // The take has no video: the key frames cannot be extracted.
+    let source = Source::Colmap(ColmapOptions { program, ..ColmapOptions::default() });
+    let options = PosesOptions { source, ..options(PathBuf::new()) };
+    let error = find(&take, &options, &Collected::default()).unwrap_err();
+    assert!(matches!(error, TrackerError::Video(_)), "{error}");
+    assert!(fs::read_to_string(take.join("poses/colmap.log")).unwrap().contains("COLMAP 3.8"));
+    assert!(take.join("poses/report.json").is_file() && take.join("poses/sparse/images.txt").is_file());
+}

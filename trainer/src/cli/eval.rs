@@ -13,7 +13,9 @@ use crate::jobs::render::{Sink, evaluate, render, shots_of_views};
 
 /// Options of `trainer eval`.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  trainer eval runs/ada --views test/views.json\n  trainer eval runs/ada\n  trainer eval runs/ada --views test/views.json --renders renders")]
+#[command(
+    after_help = "Examples:\n  trainer eval runs/ada --views test/views.json\n  trainer eval runs/ada\n  trainer eval runs/ada --views test/views.json --renders renders"
+)]
 pub(super) struct EvalArgs {
     /// The run's folder
     run: PathBuf,
@@ -34,24 +36,22 @@ pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         None => validation_views(&args.run)?,
     };
     let folder = args.run.join("eval");
-    let renders = match &args.renders {
-        Some(renders) => renders.clone(),
-        None => {
-            let avatar = Avatar::open(&args.run, &args.device.device()?)?;
-            let with_truth = ViewList { views: views.views.iter().filter(|v| v.image.is_some()).cloned().collect() };
-            let shots = shots_of_views(&avatar, &with_truth, console);
-            let sink = Sink { folder: Some(folder.join("renders")), video: None, full: false };
-            render(&avatar, &shots, &sink, console, |_, picture| Ok(picture))?;
-            folder.join("renders")
-        }
+    let renders = if let Some(renders) = &args.renders {
+        renders.clone()
+    } else {
+        let avatar = Avatar::open(&args.run, &args.device.device()?)?;
+        let with_truth = ViewList { views: views.views.iter().filter(|v| v.image.is_some()).cloned().collect() };
+        let shots = shots_of_views(&avatar, &with_truth, console);
+        let sink = Sink { folder: Some(folder.join("renders")), video: None, full: false };
+        render(&avatar, &shots, &sink, console, |_, picture| Ok(picture))?;
+        folder.join("renders")
     };
     let evaluation = evaluate(&views, &list_path, &renders)?;
     write_json(folder.join("eval.json"), &evaluation)?;
-    let mut human = String::new();
-    for (kind, psnr) in &evaluation.mean_psnr_db_by_kind {
-        human += &format!("{kind:>20}  {psnr:6.2} dB\n");
-    }
-    human += &format!("{:>20}  {:6.2} dB  ({} views)", "mean PSNR", evaluation.mean_psnr_db, evaluation.views.len());
+    let row = |name: &str, psnr: f64| format!("{name:>20}  {psnr:6.2} dB");
+    let mut lines: Vec<String> = evaluation.mean_psnr_db_by_kind.iter().map(|(kind, psnr)| row(kind, *psnr)).collect();
+    lines.push(format!("{}  ({} views)", row("mean PSNR", evaluation.mean_psnr_db), evaluation.views.len()));
+    let human = lines.join("\n");
     console.finish(&evaluation, &human);
     Ok(())
 }

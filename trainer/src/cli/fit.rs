@@ -14,7 +14,9 @@ use crate::model::{ConfiesModel, region_groups};
 
 /// Options of `trainer fit`.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  trainer fit datasets/ada --out runs/ada\n  trainer fit datasets/ada --out runs/ada --budget 10m\n  trainer fit datasets/ada --out runs/ada --resume\n  trainer fit datasets/ada --out runs/paper --preset paper --dry-run --json")]
+#[command(
+    after_help = "Examples:\n  trainer fit datasets/ada --out runs/ada\n  trainer fit datasets/ada --out runs/ada --budget 10m\n  trainer fit datasets/ada --out runs/ada --resume\n  trainer fit datasets/ada --out runs/paper --preset paper --dry-run --json"
+)]
 pub(super) struct FitArgs {
     /// The dataset's folder
     dataset: PathBuf,
@@ -100,7 +102,8 @@ pub(super) fn run(args: &FitArgs, console: &Console) -> Result<(), Failure> {
     }
     let data = TrainData::load(&args.dataset, settings.image_scale, console)?;
     if args.dry_run {
-        let model = ConfiesModel::new(&settings.model, &region_groups(&data.table), data.frames.len(), settings.seed, &device);
+        let model =
+            ConfiesModel::new(&settings.model, &region_groups(&data.table), data.frames.len(), settings.seed, &device);
         let plan = Plan {
             parameters: burn::module::Module::num_params(&model),
             frames: data.frames.len(),
@@ -134,8 +137,10 @@ pub(super) fn run(args: &FitArgs, console: &Console) -> Result<(), Failure> {
 fn resolve(args: &FitArgs) -> Result<FitSettings, Failure> {
     if args.resume {
         let path = args.out.join("settings.toml");
-        let text = std::fs::read_to_string(&path)
-            .map_err(|e| risorius_formats::FormatError::io(&path, "read", &e).with_hint("there is nothing to resume; leave out `--resume`"))?;
+        let text = std::fs::read_to_string(&path).map_err(|e| {
+            risorius_formats::FormatError::io(&path, "read", &e)
+                .with_hint("there is nothing to resume; leave out `--resume`")
+        })?;
         let mut settings: FitSettings = toml::from_str(&text).map_err(|e| TrainerError::Run {
             path,
             message: e.message().to_owned(),
@@ -144,7 +149,8 @@ fn resolve(args: &FitArgs) -> Result<FitSettings, Failure> {
         if let Some(preset) = &args.preset
             && *preset != settings.preset
         {
-            return Err(Failure::input(format!("the run was begun with preset `{}`", settings.preset)).with_hint("leave out `--preset`"));
+            return Err(Failure::input(format!("the run was begun with preset `{}`", settings.preset))
+                .with_hint("leave out `--preset`"));
         }
         if let Some(steps) = args.steps {
             settings.steps = steps;

@@ -13,7 +13,9 @@ use crate::path;
 
 /// Options of `trainer render`.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  trainer render runs/ada --views test/views.json --out renders\n  trainer render runs/ada --au AU12=3.5 --au AU02=2 --out smile\n  trainer render runs/ada --au AU12=4 --orbit 60 --video orbit.mp4")]
+#[command(
+    after_help = "Examples:\n  trainer render runs/ada --views test/views.json --out renders\n  trainer render runs/ada --au AU12=3.5 --au AU02=2 --out smile\n  trainer render runs/ada --au AU12=4 --orbit 60 --video orbit.mp4"
+)]
 pub(super) struct RenderArgs {
     /// The run's folder
     run: PathBuf,
@@ -56,7 +58,8 @@ pub(super) fn run(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     let fps = args.fps.unwrap_or(15.0);
     let sink = Sink { folder: args.out.clone(), video: args.video.clone().map(|path| (path, fps)), full: args.full };
     let summary = render(&avatar, &shots, &sink, console, |_, picture| Ok(picture))?;
-    let human = format!("{} pictures in {:.1} s, {:.2} s each", summary.rendered, summary.seconds, summary.seconds_per_picture);
+    let human =
+        format!("{} pictures in {:.1} s, {:.2} s each", summary.rendered, summary.seconds, summary.seconds_per_picture);
     console.finish(&summary, &human);
     Ok(())
 }

@@ -12,7 +12,9 @@ use crate::jobs::transfer::{Range, TransferSettings, transfer};
 
 /// Options of `trainer transfer`.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  trainer transfer runs/ada --from takes/bob --video bob_as_ada.mp4\n  trainer transfer runs/ada --from takes/bob --out frames --range avatar --fps 24")]
+#[command(
+    after_help = "Examples:\n  trainer transfer runs/ada --from takes/bob --video bob_as_ada.mp4\n  trainer transfer runs/ada --from takes/bob --out frames --range avatar --fps 24"
+)]
 pub(super) struct TransferArgs {
     /// The run's folder
     run: PathBuf,
@@ -58,7 +60,11 @@ pub(super) fn run(args: &TransferArgs, console: &Console) -> Result<(), Failure>
         side_by_side: !args.alone,
         min_confidence: args.min_confidence.unwrap_or(0.8),
     };
-    let sink = Sink { folder: args.out.clone(), video: args.video.clone().map(|path| (path, fps.min(take.fps()))), full: false };
+    let sink = Sink {
+        folder: args.out.clone(),
+        video: args.video.clone().map(|path| (path, fps.min(take.fps()))),
+        full: false,
+    };
     let summary = transfer(&avatar, &take, &settings, &sink, console)?;
     let human = format!(
         "{} pictures driven by {} AUs of {} frames, {:.2} s each",

@@ -29,6 +29,6 @@ impl DeformationField {
     /// `x`: `[n, 3]`, `omega`: `[n, latent]`, `window`: `warp_bands` weights, result: `[n, 3]`
     pub fn forward(&self, x: Tensor<2>, omega: Tensor<2>, window: &[f32]) -> Tensor<2> {
         let screw = self.net.forward(Tensor::cat(vec![encoding::encode(x.clone(), window, true), omega], 1));
-        se3::transform(screw.clone().narrow(1, 0, 3), screw.narrow(1, 3, 3), x)
+        se3::transform(&screw.clone().narrow(1, 0, 3), &screw.narrow(1, 3, 3), x)
     }
 }

@@ -42,7 +42,7 @@ impl MaskNets {
     /// # Shapes
     /// `position` γ(x'): `[n, p]`, `ambient` γ(w_1 … w_K): `[n, K · component]`, `rest` γ(w_0): `[n, component]`;
     /// result: `[n, N]`
-    pub fn forward(&self, position: Tensor<2>, ambient: Tensor<2>, rest: Tensor<2>) -> Tensor<2> {
+    pub fn forward(&self, position: &Tensor<2>, ambient: &Tensor<2>, rest: &Tensor<2>) -> Tensor<2> {
         let logits = self.nets.iter().zip(&self.groups).map(|(net, group)| {
             let mut own = Vec::new();
             if !group.is_empty() {

@@ -7,8 +7,8 @@ use rand::Rng;
 
 use crate::config::{ModelConfig, NetSize};
 use crate::encoding;
-use crate::mlp::{Init, Mlp, spec};
 use crate::kernel::MlpSpec;
+use crate::mlp::{Init, Mlp, spec};
 
 /// What the template says of each sample.
 #[derive(Clone, Debug)]
@@ -47,6 +47,9 @@ impl Template {
         let out = self.trunk.forward(input);
         let bottleneck = out.clone().narrow(1, 1, self.trunk.d_out() - 1);
         let raw = out.narrow(1, 0, 1).squeeze_dim::<1>(1);
-        TemplateOutput { density: softplus(raw, 1.0), color: sigmoid(self.color.forward(Tensor::cat(vec![bottleneck, view], 1))) }
+        TemplateOutput {
+            density: softplus(raw, 1.0),
+            color: sigmoid(self.color.forward(Tensor::cat(vec![bottleneck, view], 1))),
+        }
     }
 }

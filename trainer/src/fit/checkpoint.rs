@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use burn::module::Module as _;
 use burn::optim::ModuleOptimizer;
 use burn::store::ModuleRecord;
+use risorius_formats::FormatError;
 use risorius_formats::atomic::AtomicDir;
 use risorius_formats::pose_report::{json_error, write_json};
-use risorius_formats::FormatError;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Result, TrainerError};
@@ -55,7 +55,14 @@ pub fn list(run: &Path) -> Vec<(u64, PathBuf)> {
 }
 
 /// Writes a checkpoint and removes the oldest ones.
-pub fn save(run: &Path, model: &ConfiesModel, optimizer: &ModuleOptimizer, step: u64, seconds: f64, dataset_sha256: &str) -> Result<()> {
+pub fn save(
+    run: &Path,
+    model: &ConfiesModel,
+    optimizer: &ModuleOptimizer,
+    step: u64,
+    seconds: f64,
+    dataset_sha256: &str,
+) -> Result<()> {
     let path = run.join("checkpoints").join(format!("step-{step:08}"));
     let dir = AtomicDir::create(&path)?;
     let weights = model.clone().into_record().into_bytes().map_err(|e| failed(&path, "pack the weights", &e))?;
@@ -96,8 +103,10 @@ pub fn load(run: &Path, model: ConfiesModel, optimizer: ModuleOptimizer, dataset
         });
     }
     let bytes = |v: Vec<u8>| burn::tensor::Bytes::from_bytes_vec(v);
-    let record = ModuleRecord::from_bytes(bytes(read("weights.bpk")?)).map_err(|e| failed(&path, "read the weights", &e))?;
+    let record =
+        ModuleRecord::from_bytes(bytes(read("weights.bpk")?)).map_err(|e| failed(&path, "read the weights", &e))?;
     let model = model.try_load_record(record).map_err(|e| failed(&path, "use the weights", &e))?;
-    let optimizer = optimizer.from_bytes(bytes(read("optimizer.bpk")?)).map_err(|e| failed(&path, "use the optimiser", &e))?;
+    let optimizer =
+        optimizer.from_bytes(bytes(read("optimizer.bpk")?)).map_err(|e| failed(&path, "use the optimiser", &e))?;
     Ok(Loaded { model, optimizer, step: state.step, seconds: state.seconds })
 }

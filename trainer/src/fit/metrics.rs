@@ -64,7 +64,7 @@ impl MetricsLog {
 
     /// Writes a line every few steps.
     pub fn record(&mut self, step: u64, seconds: f64, learning_rate: f64, n: &StepNumbers) -> Result<()> {
-        if step % LOG_EVERY != 0 && step != 1 {
+        if !step.is_multiple_of(LOG_EVERY) && step != 1 {
             return Ok(());
         }
         let line = MetricsLine {
@@ -79,7 +79,8 @@ impl MetricsLog {
             latent: n.latent,
         };
         let fail = |e: &std::io::Error| FormatError::io(&self.path, "write", e);
-        let text = serde_json::to_string(&line).map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(&self.path))?;
+        let text = serde_json::to_string(&line)
+            .map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(&self.path))?;
         writeln!(self.writer, "{text}").map_err(|e| fail(&e))?;
         self.writer.flush().map_err(|e| fail(&e))?;
         Ok(())

@@ -197,7 +197,14 @@ fn settings_to_disk(settings: &FitSettings, run: &Path) -> Result<()> {
     Ok(risorius_formats::atomic::write_file(path, text.as_bytes())?)
 }
 
-fn save(state: &State, seconds: f64, data: &TrainData, settings: &FitSettings, space: &NetSpace, run: &Path) -> Result<()> {
+fn save(
+    state: &State,
+    seconds: f64,
+    data: &TrainData,
+    settings: &FitSettings,
+    space: &NetSpace,
+    run: &Path,
+) -> Result<()> {
     checkpoint::save(run, &state.model, &state.optimizer, state.step, seconds, &data.sha256)?;
     SavedModel::describe(data, settings, space).write(run, &state.model)?;
     RunManifest {

@@ -64,7 +64,13 @@ pub(crate) fn points(origins: &[Vec3], directions: &[Vec3], depths: &[f32], devi
 }
 
 /// The loss of one step, ready for `backward`, and its terms as numbers.
-pub fn losses(model: &ConfiesModel, data: &TrainData, space: &NetSpace, settings: &FitSettings, step: u64) -> (Tensor<1>, StepNumbers) {
+pub fn losses(
+    model: &ConfiesModel,
+    data: &TrainData,
+    space: &NetSpace,
+    settings: &FitSettings,
+    step: u64,
+) -> (Tensor<1>, StepNumbers) {
     let device = &model.device();
     let batch = batch::draw(data, space, settings.rays, settings.region_share, settings.seed, step);
     let (regions, attributes) = (data.table.regions.len(), data.table.attributes.len());
@@ -75,7 +81,8 @@ pub fn losses(model: &ConfiesModel, data: &TrainData, space: &NetSpace, settings
         attributes: rows(batch.attributes.clone(), attributes, device),
         attributes_given: rows(batch.attributes_given.clone(), attributes, device),
     };
-    let omega = model.latent_codes(Tensor::<1, Int>::from_data(TensorData::new(batch.frames.clone(), [batch.len()]), device));
+    let omega =
+        model.latent_codes(Tensor::<1, Int>::from_data(TensorData::new(batch.frames.clone(), [batch.len()]), device));
     let learned = model.attributes_of(omega.clone());
     let alpha = match settings.attributes {
         AttributeSource::Learned => learned.clone(),
@@ -84,7 +91,7 @@ pub fn losses(model: &ConfiesModel, data: &TrainData, space: &NetSpace, settings
             truth.attributes.clone() * given.clone() + learned.clone() * (given.neg() + 1.0)
         }
     };
-    let directions = rows(batch.directions.iter().flat_map(|d| d.to_array()).collect(), 3, device);
+    let directions = rows(batch.directions.iter().flat_map(Vec3::to_array).collect(), 3, device);
     let codes = RayCodes { omega: omega.clone(), alpha, directions };
     let windows = Windows { hyper: settings.hyper_window.at(step), warp: settings.warp_window.at(step) };
     let attribute_weight = settings.attribute_weight.at(step);
@@ -94,7 +101,10 @@ pub fn losses(model: &ConfiesModel, data: &TrainData, space: &NetSpace, settings
         let still = weights.clone().detach();
         let beta = out.uncertainty.clone().map(|b| volume::composite(still.clone(), b));
         LossTerms {
-            reconstruction: loss::reconstruction(volume::composite(weights.clone(), out.color.clone()), truth.color.clone()),
+            reconstruction: loss::reconstruction(
+                volume::composite(weights.clone(), out.color.clone()),
+                truth.color.clone(),
+            ),
             mask: loss::mask(
                 volume::composite(still, out.mask_logits.clone()),
                 truth.masks.clone(),
@@ -112,7 +122,8 @@ pub fn losses(model: &ConfiesModel, data: &TrainData, space: &NetSpace, settings
     let fine = render_level(model, Level::Fine, &batch, &fine_depths, &codes, windows, with_uncertainty);
 
     let (coarse_terms, fine_terms) = (terms_of(&coarse.0, &coarse.1), terms_of(&fine.0, &fine.1));
-    let total = coarse_terms.total(&settings.loss, attribute_weight) + fine_terms.total(&settings.loss, attribute_weight);
+    let total =
+        coarse_terms.total(&settings.loss, attribute_weight) + fine_terms.total(&settings.loss, attribute_weight);
     (total, numbers(&coarse_terms, &fine_terms))
 }
 
@@ -135,7 +146,13 @@ fn render_level(
 ) -> (FieldOutputs, Tensor<2>) {
     let device = &model.device();
     let samples = depths.len() / batch.len();
-    let out = model.evaluate(level, points(&batch.origins, &batch.directions, depths, device), codes, windows, with_uncertainty);
+    let out = model.evaluate(
+        level,
+        points(&batch.origins, &batch.directions, depths, device),
+        codes,
+        windows,
+        with_uncertainty,
+    );
     let weights = volume::weights(out.density.clone(), rows(volume::deltas(depths, samples), samples, device));
     (out, weights)
 }

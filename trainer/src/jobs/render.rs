@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use image::ImageEncoder as _;
 use image::RgbImage;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::ImageEncoder as _;
 use risorius_formats::views::ViewList;
 use risorius_formats::{Camera, FormatError, Reporter, Warning, atomic};
 use risorius_video::Writer;
@@ -133,7 +133,11 @@ pub fn evaluate(views: &ViewList, list_path: &Path, renders: &Path) -> Result<Ev
     for view in &views.views {
         let Some(truth) = &view.image else { continue };
         let render = crate::data::read_rgb(&renders.join(format!("{}.png", view.id)))?;
-        scores.push(ViewScore { id: view.id.clone(), kind: view.kind.clone(), psnr_db: eval::score(&render, &base.join(truth))? });
+        scores.push(ViewScore {
+            id: view.id.clone(),
+            kind: view.kind.clone(),
+            psnr_db: eval::score(&render, &base.join(truth))?,
+        });
     }
     Evaluation::new(scores).ok_or_else(|| {
         FormatError::new(risorius_formats::ErrorKind::Missing, "names no true image to compare with")

@@ -107,7 +107,13 @@ fn hold(values: &[Option<f32>]) -> Vec<f32> {
 }
 
 /// Renders the avatar wearing the expressions of `take`.
-pub fn transfer(avatar: &Avatar, take: &Take, settings: &TransferSettings, sink: &Sink, reporter: &dyn Reporter) -> Result<TransferSummary> {
+pub fn transfer(
+    avatar: &Avatar,
+    take: &Take,
+    settings: &TransferSettings,
+    sink: &Sink,
+    reporter: &dyn Reporter,
+) -> Result<TransferSummary> {
     let path = take.openface_path();
     if !path.is_file() {
         return Err(FormatError::new(risorius_formats::ErrorKind::Missing, "does not exist")
@@ -118,7 +124,10 @@ pub fn transfer(avatar: &Avatar, take: &Take, settings: &TransferSettings, sink:
     let track = openface::read(path, &ReadOptions::default(), reporter)?;
     let curves = curves(avatar, take, &track, settings.min_confidence)?;
     if curves.held > 0 {
-        reporter.warn(Warning::new("lost-face", format!("{} of {} driver frames have no face; the last expression is held", curves.held, curves.frames)));
+        reporter.warn(Warning::new(
+            "lost-face",
+            format!("{} of {} driver frames have no face; the last expression is held", curves.held, curves.frames),
+        ));
     }
 
     let table = &avatar.saved.table.attributes;
@@ -165,7 +174,10 @@ pub fn transfer(avatar: &Avatar, take: &Take, settings: &TransferSettings, sink:
         .iter()
         .map(|&f| Shot { id: format!("{f:06}"), camera, attributes: attributes[f as usize].clone() })
         .collect();
-    let mut drivers = settings.side_by_side.then(|| DriverFrames::read(take, &chosen, camera_size(&avatar.saved.default_camera))).transpose()?;
+    let mut drivers = settings
+        .side_by_side
+        .then(|| DriverFrames::read(take, &chosen, camera_size(&avatar.saved.default_camera)))
+        .transpose()?;
     let render = render(avatar, &shots, sink, reporter, |i, picture| {
         Ok(match &mut drivers {
             Some(d) => beside(&d.images[i], &picture),
@@ -203,7 +215,8 @@ impl DriverFrames {
         let mut images = Vec::with_capacity(chosen.len());
         let path: PathBuf = take.media_path();
         risorius_video::read_frames(path, chosen, |_, image| -> Result<()> {
-            let width = (f64::from(image.width()) * f64::from(height) / f64::from(image.height())).round().max(1.0) as u32;
+            let width =
+                (f64::from(image.width()) * f64::from(height) / f64::from(image.height())).round().max(1.0) as u32;
             images.push(imageops::resize(&image, width, height, FilterType::Triangle));
             Ok(())
         })?;
