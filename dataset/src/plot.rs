@@ -90,12 +90,10 @@ fn panel(area: &Area<'_>, attribute: &AttributeReport, region: usize) -> Result<
         .y_label_area_size(32)
         .build_cartesian_2d(0.5 * step..5.0 + 0.5 * step, 0.0..top)
         .map_err(|e| e.to_string())?;
+    let y_label = |v: &f64| if top < 4.5 { format!("{v:.1}") } else { format!("{v:.0}") };
+    let x_label = |v: &f64| format!("{v:.0}");
     let mut mesh = chart.configure_mesh();
-    mesh.disable_x_mesh()
-        .x_labels(6)
-        .y_labels(5)
-        .x_label_formatter(&|v| format!("{v:.0}"))
-        .y_label_formatter(&|v| if top < 4.5 { format!("{v:.1}") } else { format!("{v:.0}") });
+    mesh.disable_x_mesh().x_labels(6).y_labels(5).x_label_formatter(&x_label).y_label_formatter(&y_label);
     mesh.light_line_style(TRANSPARENT).draw().map_err(|e| e.to_string())?;
     let [r, g, b] = raster::region_colour(region as u8 + 1);
     let bars = |values: &[f64], from: f64, to: f64, colour: RGBColor| -> Vec<Rectangle<(f64, f64)>> {

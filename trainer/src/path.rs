@@ -28,7 +28,7 @@ pub fn spread(reference: &Camera, cameras: &[Camera], center: DVec3) -> [f64; 2]
 pub fn swing(reference: &Camera, center: DVec3, yaw_rad: f64, pitch_rad: f64) -> Camera {
     // The world turns the other way round: X' = Q (X − c) + c seen by the unmoved camera.
     let r = reference.camera_from_world.rotation;
-    let turn_in_camera = DMat3::from_rotation_x(-pitch_rad) * DMat3::from_rotation_y(yaw_rad);
+    let turn_in_camera = DMat3::from_rotation_x(pitch_rad) * DMat3::from_rotation_y(yaw_rad);
     let q = r.transpose() * turn_in_camera * r;
     let world_turn = Isometry::new(q, center - q * center);
     Camera { intrinsics: reference.intrinsics, camera_from_world: reference.camera_from_world.compose(&world_turn) }

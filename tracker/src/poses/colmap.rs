@@ -55,8 +55,8 @@ impl Default for ColmapOptions {
         Self {
             program: super::child::default_program(),
             keyframes: None,
-            // Two focal lengths and tangential terms trade off against the pose when the camera moves little:
-            // four times the rotation error on a capture with known cameras.
+            // A second focal length and tangential terms trade off against the pose: with OPENCV, a capture with
+            // known square pixels came out with fy 0.4 % off and every pose turned by the same 0.12°.
             camera_model: "SIMPLE_RADIAL".into(),
             max_features: 2000,
             max_side: 1600,

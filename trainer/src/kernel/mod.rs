@@ -7,7 +7,7 @@
 //! but the inputs is kept between the two.
 //!
 //! Each operation is one differentiable node on Burn's CPU backend (Flex) for `f32` and `f64` tensors. On any other
-//! device or element type the same function runs its plain twin from [`reference`], so callers need not care.
+//! device or element type the same function runs its plain twin from [`mod@reference`], so callers need not care.
 //!
 //! # Determinism and threads
 //!
