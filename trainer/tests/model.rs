@@ -40,12 +40,17 @@ const RAYS: usize = 3;
 const SAMPLES: usize = 5;
 
 impl Setup {
+    /// A model whose slices are far from flat, so that a leak between regions would show.
     fn new(device: Device) -> Self {
+        let Self { model, device } = Self::plain(device);
+        Self { model: model.map(&mut Amplify), device }
+    }
+
+    /// A model as it starts.
+    fn plain(device: Device) -> Self {
         let mut config = FitSettings::tiny().model;
         config.hyper_dims = 3;
         let model = ConfiesModel::new(&config, &paper_groups(), 4, 7, &device);
-        // The slices start almost flat (1e-5); scaled up, a leak between regions would show.
-        let model = model.map(&mut Amplify);
         Self { model, device }
     }
 
@@ -128,7 +133,7 @@ fn with_the_hyper_window_shut_the_field_does_not_see_the_attributes() {
 
 #[test]
 fn masks_and_uncertainties_leave_the_density_alone() {
-    let s = Setup::new(Device::flex().autodiff());
+    let s = Setup::plain(Device::flex().autodiff());
     let out = s.model.evaluate(Level::Fine, s.points(), &s.codes(noise(RAYS * 17, 3)), s.open(), true);
     let deltas = Tensor::<2>::full([RAYS, SAMPLES], 0.2, &s.device);
     let still = volume::weights(out.density.clone(), deltas).detach();
