@@ -41,6 +41,8 @@ pub(crate) struct Candidate {
     pub(crate) frame: u32,
     pub(crate) intensities: Vec<f32>,
     pub(crate) camera: Camera,
+    /// See [`risorius_formats::Landmarks68::asymmetry`]; infinite without landmarks.
+    pub(crate) asymmetry: f32,
     pub(crate) polygons: Result<risorius_formats::nerfies::Polygons, Rejection>,
 }
 
@@ -289,6 +291,7 @@ fn candidates(
                 frame: valid.frame,
                 intensities: valid.intensities.clone(),
                 camera: worlds[take].move_camera(camera),
+                asymmetry: landmarks.map_or(f32::INFINITY, risorius_formats::Landmarks68::asymmetry),
                 polygons: regions::polygons(landmarks, styles, manifest.width, manifest.height),
             });
         }

@@ -77,8 +77,37 @@ pub(crate) fn describe(
         head_hull_in_world: head_hull(&inputs[0], &worlds[0]),
         units_per_metre: first.units_per_metre,
         takes: inputs.iter().map(|i| i.name.clone()).collect(),
+        neutral_id: neutral_id(&dataset, candidates, chosen, table),
         ids_without_masks: rejected.map(|(_, id)| id.clone()).collect(),
         written_by: concat!("risorius-dataset ", env!("CARGO_PKG_VERSION")).to_owned(),
     });
     dataset
 }
+
+/// The frame for fitting whose face rests most: the distance of its AUs from neutral (root mean square, as a share of
+/// their ranges) and its asymmetry, which AUs do not tell.
+fn neutral_id(dataset: &Dataset, candidates: &[Candidate], chosen: &[usize], table: &AttributeTable) -> Option<String> {
+    let active = table.attributes.iter().filter(|a| a.active).count().max(1) as f32;
+    let unrest = |c: &Candidate| {
+        let squares: f32 = table
+            .attributes
+            .iter()
+            .zip(&c.intensities)
+            .filter(|(a, _)| a.active)
+            .map(|(a, &v)| (0.5 * (a.attribute_from_intensity(v) - a.neutral_attribute())).powi(2))
+            .sum();
+        (squares / active).sqrt() + ASYMMETRY_WEIGHT * c.asymmetry
+    };
+    let for_fitting: std::collections::BTreeSet<&String> = dataset.train_ids.iter().collect();
+    chosen
+        .iter()
+        .zip(&dataset.ids)
+        .filter(|(_, id)| for_fitting.contains(id))
+        .map(|(&c, id)| (unrest(&candidates[c]), id))
+        .filter(|(unrest, _)| unrest.is_finite())
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, id)| id.clone())
+}
+
+/// A crooked face (asymmetry 0.06 above rest) weighs as much as AUs that are off by 0.3 of their ranges.
+const ASYMMETRY_WEIGHT: f32 = 5.0;

@@ -8,14 +8,18 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 use glam::{DVec2, Vec3};
 use image::RgbImage;
 use rand_chacha::ChaCha8Rng;
+use risorius_brick::Brick;
+use risorius_brick::render::Face;
 use risorius_formats::{ActionUnit, Camera, Reporter};
 
+use crate::brick::plate::Plate;
+use crate::brick::store::{self, Content};
 use crate::error::{Result, TrainerError};
 use crate::fit::{host, points, rows};
 use crate::hull::Outline;
 use crate::model::{ConfiesModel, Level, RayCodes, Windows};
 use crate::sampling;
-use crate::saved::SavedModel;
+use crate::saved::{SavedConfies, SavedField, SavedModel};
 use crate::volume;
 
 /// Rays per chunk: bounds memory, large enough to keep the cores busy.
@@ -38,17 +42,33 @@ pub struct Render {
 pub struct Avatar {
     /// What is known about it.
     pub saved: SavedModel,
-    model: ConfiesModel,
-    device: Device,
+    field: Fitted,
 }
+
+enum Fitted {
+    Confies { saved: SavedConfies, model: Box<ConfiesModel>, device: Device },
+    Brick { model: Box<Brick>, plate: Option<Plate> },
+}
+
+/// A ray of a picture: where its pixel stands and where it goes.
+type Wanted = (usize, Vec3);
 
 impl Avatar {
     /// Opens the avatar of a run.
     pub fn open(run: impl AsRef<Path>, device: &Device) -> Result<Self> {
         let run = run.as_ref();
         let saved = SavedModel::read(run)?;
-        let model = saved.load_model(run, device)?.no_grad();
-        Ok(Self { saved, model, device: device.clone() })
+        let field = match &saved.field {
+            SavedField::Confies(confies) => {
+                let model = Box::new(saved.load_confies(confies, run, device)?.no_grad());
+                Fitted::Confies { saved: confies.clone(), model, device: device.clone() }
+            }
+            SavedField::Brick(brick) => {
+                let read = store::read(&run.join("model.safetensors"), brick, Content::Avatar, &[])?;
+                Fitted::Brick { model: Box::new(read.model), plate: read.plate }
+            }
+        };
+        Ok(Self { saved, field })
     }
 
     /// The neutral face.
@@ -111,9 +131,61 @@ impl Avatar {
                 wanted.push((pixel, direction.as_vec3()));
             }
         }
-        let mut rgb = RgbImage::from_pixel(width, height, image::Rgb(BACKDROP));
-        let mut masks = vec![vec![0.0; count]; self.model.region_count()];
-        let mut depth = vec![0.0; count];
+        let mut picture = Render {
+            rgb: RgbImage::from_pixel(width, height, image::Rgb(BACKDROP)),
+            masks: vec![vec![0.0; count]; self.saved.table.regions.len()],
+            depth: vec![0.0; count],
+        };
+        match &self.field {
+            Fitted::Confies { saved, model, device } => {
+                let networks = Networks { saved, model, device, neutral_frame: self.saved.neutral_frame };
+                networks.render(camera, attributes, &wanted, &mut picture, reporter)?;
+            }
+            Fitted::Brick { model, plate } => {
+                if let Some(plate) = plate {
+                    plate.paint(&mut picture.rgb);
+                }
+                render_brick(model, camera, attributes, &wanted, &mut picture);
+            }
+        }
+        Ok(picture)
+    }
+}
+
+/// The brick field's rays, over what the picture already shows.
+fn render_brick(model: &Brick, camera: &Camera, attributes: &[f32], wanted: &[Wanted], picture: &mut Render) {
+    let face = Face::new(model, attributes);
+    let directions: Vec<[f32; 3]> = wanted.iter().map(|(_, d)| d.to_array()).collect();
+    let shown = face.render(camera.center().as_vec3().to_array(), &directions);
+    for ((pixel, _), shown) in wanted.iter().zip(shown) {
+        for (byte, color) in picture.rgb.as_mut()[pixel * 3..pixel * 3 + 3].iter_mut().zip(shown.color) {
+            let value = color + shown.left * f32::from(*byte) / 255.0;
+            *byte = (value.clamp(0.0, 1.0) * 255.0).round() as u8;
+        }
+        picture.depth[*pixel] = shown.depth;
+        for (mask, value) in picture.masks.iter_mut().zip(shown.masks) {
+            mask[*pixel] = value;
+        }
+    }
+}
+
+/// The paper's networks at work.
+struct Networks<'a> {
+    saved: &'a SavedConfies,
+    model: &'a ConfiesModel,
+    device: &'a Device,
+    neutral_frame: usize,
+}
+
+impl Networks<'_> {
+    fn render(
+        &self,
+        camera: &Camera,
+        attributes: &[f32],
+        wanted: &[Wanted],
+        picture: &mut Render,
+        reporter: &dyn Reporter,
+    ) -> Result<()> {
         let origin = self.saved.space.origin(camera).as_vec3();
         for chunk in wanted.chunks(CHUNK_RAYS) {
             if reporter.cancelled() {
@@ -121,26 +193,26 @@ impl Avatar {
             }
             let directions: Vec<Vec3> = chunk.iter().map(|(_, d)| *d).collect();
             let values = self.render_rays(origin, &directions, attributes);
-            let stride = 4 + masks.len();
+            let stride = 4 + picture.masks.len();
             for ((pixel, _), v) in chunk.iter().zip(values.chunks_exact(stride)) {
-                for (byte, value) in rgb.as_mut()[pixel * 3..pixel * 3 + 3].iter_mut().zip(v) {
+                for (byte, value) in picture.rgb.as_mut()[pixel * 3..pixel * 3 + 3].iter_mut().zip(v) {
                     *byte = (value.clamp(0.0, 1.0) * 255.0).round() as u8;
                 }
-                depth[*pixel] = (f64::from(v[3]) / self.saved.space.scale) as f32;
-                for (n, mask) in masks.iter_mut().enumerate() {
+                picture.depth[*pixel] = (f64::from(v[3]) / self.saved.space.scale) as f32;
+                for (n, mask) in picture.masks.iter_mut().enumerate() {
                     mask[*pixel] = 1.0 / (1.0 + (-v[4 + n]).exp());
                 }
             }
         }
-        Ok(Render { rgb, masks, depth })
+        Ok(())
     }
 
     /// RGB, depth and mask logits of each ray: `4 + N` numbers.
     fn render_rays(&self, origin: Vec3, directions: &[Vec3], attributes: &[f32]) -> Vec<f32> {
-        let SavedModel { coarse_samples, fine_samples, spacing, space, neutral_frame, model: config, .. } = &self.saved;
-        let device = &self.device;
+        let SavedConfies { coarse_samples, fine_samples, spacing, space, model: config, .. } = self.saved;
+        let (neutral_frame, device) = (self.neutral_frame, self.device);
         let r = directions.len();
-        let frame = Tensor::<1, Int>::from_data(TensorData::new(vec![*neutral_frame as i32], [1]), device);
+        let frame = Tensor::<1, Int>::from_data(TensorData::new(vec![neutral_frame as i32], [1]), device);
         let omega = self.model.latent_codes(frame);
         let latent = omega.dims()[1];
         let codes = RayCodes {

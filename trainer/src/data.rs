@@ -96,8 +96,13 @@ impl TrainData {
         self.dataset.extras.as_ref()
     }
 
-    /// Index of the most neutral frame: the smallest distance of its attributes from the capture's neutral face.
+    /// Index of the most neutral frame: the one that the dataset names, else the smallest distance of its attributes
+    /// from the capture's neutral face.
     pub fn neutral_frame(&self) -> usize {
+        let named = self.extras().and_then(|e| e.neutral_id.as_ref());
+        if let Some(index) = named.and_then(|id| self.frames.iter().position(|f| f.id == *id)) {
+            return index;
+        }
         let neutral: Vec<f32> = self.table.attributes.iter().map(AttributeSpec::neutral_attribute).collect();
         let distance = |f: &TrainFrame| match &f.attributes {
             Some(a) => a.iter().zip(&neutral).map(|(a, n)| (a - n).powi(2)).sum(),

@@ -10,6 +10,7 @@
 
 pub mod avatar;
 pub mod batch;
+pub mod brick;
 pub mod cli;
 pub mod config;
 pub mod data;

@@ -12,6 +12,7 @@ use risorius_formats::{AttributeTable, Camera, FormatError, atomic};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
+use crate::brick::store::SavedBrick;
 use crate::config::{FitSettings, ModelConfig, Spacing};
 use crate::data::TrainData;
 use crate::error::{Result, TrainerError};
@@ -24,8 +25,39 @@ use crate::space::NetSpace;
 pub struct SavedModel {
     /// Version of the layout.
     pub version: u32,
-    /// The field's name.
-    pub field: String,
+    /// What the field needs besides its weights.
+    #[serde(flatten)]
+    pub field: SavedField,
+    /// The attributes with their ranges.
+    pub table: AttributeTable,
+    /// The middle of the head, world units.
+    pub center_in_world: DVec3,
+    /// The training frame that is closest to a neutral face.
+    pub neutral_frame: usize,
+    /// Where that frame was seen from, at the size that was fitted.
+    pub default_camera: ViewCamera,
+    /// Half angles of the cone that the training cameras span around the head: sideways and up-down, radians.
+    pub orbit_rad: [f64; 2],
+    /// Image scale that was fitted.
+    pub image_scale: u32,
+    /// Corners of the head's hull, where only the head was fitted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub head_hull_in_world: Option<Vec<DVec3>>,
+}
+
+/// What only one of the fields has.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "field", rename_all = "kebab-case")]
+pub enum SavedField {
+    /// The paper's networks.
+    Confies(SavedConfies),
+    /// The brick field.
+    Brick(SavedBrick),
+}
+
+/// The paper's networks without their weights.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SavedConfies {
     /// Network sizes.
     pub model: ModelConfig,
     /// Training frames, which the latent table has rows for.
@@ -36,42 +68,40 @@ pub struct SavedModel {
     pub fine_samples: usize,
     /// Spacing of the coarse samples.
     pub spacing: Spacing,
-    /// The attributes with their ranges.
-    pub table: AttributeTable,
     /// The space the networks see.
     pub space: NetSpace,
-    /// The training frame whose latent code stands for a neutral face.
-    pub neutral_frame: usize,
-    /// Where that frame was seen from, at the size that was fitted.
-    pub default_camera: ViewCamera,
-    /// Half angles of the cone that the training cameras span around the head: sideways and up-down, radians.
-    pub orbit_rad: [f64; 2],
-    /// Corners of the head's hull, where only the head was fitted; what lies outside is painted grey.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub head_hull_in_world: Option<Vec<DVec3>>,
 }
 
 impl SavedModel {
-    /// What is to be saved of a fit.
-    pub fn describe(data: &TrainData, settings: &FitSettings, space: &NetSpace) -> Self {
+    /// What both fields save of a fit; `center_in_world` is the middle of the head.
+    pub fn describe(data: &TrainData, field: SavedField, center_in_world: DVec3) -> Self {
         let neutral_frame = data.neutral_frame();
         let camera = &data.frames[neutral_frame].camera;
         let cameras: Vec<Camera> = data.frames.iter().map(|f| f.camera).collect();
         Self {
-            version: 1,
-            field: "confies".to_owned(),
+            version: 2,
+            field,
+            table: data.table.clone(),
+            center_in_world,
+            neutral_frame,
+            default_camera: ViewCamera::from(camera),
+            orbit_rad: path::spread(camera, &cameras, center_in_world),
+            image_scale: data.scale,
+            head_hull_in_world: data.extras().and_then(|e| e.head_hull_in_world.clone()),
+        }
+    }
+
+    /// What is to be saved of a fit of the paper's networks.
+    pub fn describe_confies(data: &TrainData, settings: &FitSettings, space: &NetSpace) -> Self {
+        let confies = SavedConfies {
             model: settings.model,
             frames: data.frames.len(),
             coarse_samples: settings.coarse_samples,
             fine_samples: settings.fine_samples,
             spacing: settings.spacing,
-            table: data.table.clone(),
             space: *space,
-            neutral_frame,
-            default_camera: ViewCamera::from(camera),
-            orbit_rad: path::spread(camera, &cameras, space.center_in_world),
-            head_hull_in_world: data.extras().and_then(|e| e.head_hull_in_world.clone()),
-        }
+        };
+        Self::describe(data, SavedField::Confies(confies), space.center_in_world)
     }
 
     /// Writes both files, each whole or not at all.
@@ -102,12 +132,12 @@ impl SavedModel {
     }
 
     /// Builds the model and fills in the weights of `model.safetensors`.
-    pub fn load_model(&self, run: &Path, device: &Device) -> Result<ConfiesModel> {
+    pub fn load_confies(&self, confies: &SavedConfies, run: &Path, device: &Device) -> Result<ConfiesModel> {
         let path = run.join("model.safetensors");
         let bytes = std::fs::read(&path).map_err(|e| FormatError::io(&path, "read", &e))?;
         let tensors = SafeTensors::deserialize(&bytes).map_err(|e| damaged(&path, &e))?;
         let groups = region_groups(&self.table);
-        let model = ConfiesModel::new(&self.model, &groups, self.frames, 0, device);
+        let model = ConfiesModel::new(&confies.model, &groups, confies.frames, 0, device);
         let mut filler = Filler { tensors: &tensors, path: Vec::new(), problem: None };
         let model = model.map(&mut filler);
         match filler.problem {
@@ -117,7 +147,7 @@ impl SavedModel {
     }
 }
 
-fn damaged(path: &Path, error: &dyn std::fmt::Display) -> TrainerError {
+pub(crate) fn damaged(path: &Path, error: &dyn std::fmt::Display) -> TrainerError {
     TrainerError::Run {
         path: path.to_owned(),
         message: error.to_string(),

@@ -82,6 +82,9 @@ pub struct Extras {
     /// Ids of frames without region masks.
     #[serde(default)]
     pub ids_without_masks: Vec<String>,
+    /// The frame for fitting that shows a resting face best: AUs near their neutral values, and symmetric.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub neutral_id: Option<String>,
     /// The program that wrote this, with its version.
     pub written_by: String,
 }

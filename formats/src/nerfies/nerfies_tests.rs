@@ -35,6 +35,7 @@ fn dataset(ids: &[&str]) -> Dataset {
             units_per_metre: Some(1.0),
             takes: vec!["ada".into()],
             ids_without_masks: vec![ids[0].clone()],
+            neutral_id: None,
             written_by: "test".into(),
         }),
         ids,

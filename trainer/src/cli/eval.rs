@@ -62,9 +62,7 @@ fn validation_views(run: &std::path::Path) -> Result<(ViewList, PathBuf), Traine
     let manifest = risorius_formats::run::RunManifest::read(run.join("run.json"))?;
     let saved = crate::saved::SavedModel::read(run)?;
     let dataset = Dataset::read(&manifest.dataset)?;
-    let settings = std::fs::read_to_string(run.join("settings.toml")).unwrap_or_default();
-    let fitted = toml::from_str::<crate::FitSettings>(&settings).map_or(0, |s| s.image_scale);
-    let scale = if fitted > 0 { fitted } else { dataset.extras.as_ref().map_or(4, |e| e.default_scale) };
+    let scale = saved.image_scale;
     let table = &saved.table;
     let mut views = Vec::new();
     for id in &dataset.val_ids {

@@ -19,60 +19,60 @@ use crate::model::{ConfiesModel, region_groups};
 )]
 pub(super) struct FitArgs {
     /// The dataset's folder
-    dataset: PathBuf,
+    pub(super) dataset: PathBuf,
     /// The run's folder, which appears with the first checkpoint
     #[arg(long, value_name = "RUN")]
-    out: PathBuf,
-    /// The field to fit: confies (brick comes with a later release)
+    pub(super) out: PathBuf,
+    /// The field to fit: brick (fast) or confies (the paper's networks) [default: brick]
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
-    /// Sizes and schedules: cpu, paper or tiny [default: cpu]
+    /// Sizes and schedules of confies: cpu, paper or tiny [default: cpu]
     #[arg(long, value_name = "NAME")]
-    preset: Option<String>,
-    /// Wall time to spend, such as 60s or 10m; schedules are stretched to it
+    pub(super) preset: Option<String>,
+    /// Wall time to spend, such as 60s or 10m; schedules are stretched to it [default for brick: 2m]
     #[arg(long, value_name = "TIME", value_parser = parse_duration, conflicts_with = "steps")]
-    budget: Option<f64>,
+    pub(super) budget: Option<f64>,
     /// Steps; schedules are stretched to them
     #[arg(long, value_name = "N")]
-    steps: Option<u64>,
+    pub(super) steps: Option<u64>,
     /// Seed of every random draw [default: 0]
     #[arg(long, value_name = "N")]
-    seed: Option<u64>,
-    /// Rays per step
+    pub(super) seed: Option<u64>,
+    /// Rays per step of confies
     #[arg(long, value_name = "N")]
-    rays: Option<usize>,
+    pub(super) rays: Option<usize>,
     /// Image scale to fit, such as 4 [default: the dataset's]
     #[arg(long, value_name = "S")]
-    image_scale: Option<u32>,
+    pub(super) image_scale: Option<u32>,
     /// Go on from the newest checkpoint in RUN
     #[arg(long)]
-    resume: bool,
+    pub(super) resume: bool,
     /// Replace an existing run
     #[arg(long, conflicts_with = "resume")]
     force: bool,
     /// Say what would be fitted, and its cost, without doing it
     #[arg(long)]
-    dry_run: bool,
+    pub(super) dry_run: bool,
     #[command(flatten)]
-    device: DeviceArgs,
+    pub(super) device: DeviceArgs,
 }
 
 /// `[trainer.fit]` of `risorius.toml`.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-struct FitFile {
-    preset: Option<String>,
-    steps: Option<u64>,
-    seed: Option<u64>,
-    rays: Option<usize>,
-    image_scale: Option<u32>,
+pub(super) struct FitFile {
+    pub(super) preset: Option<String>,
+    pub(super) steps: Option<u64>,
+    pub(super) seed: Option<u64>,
+    pub(super) rays: Option<usize>,
+    pub(super) image_scale: Option<u32>,
 }
 
 /// `[trainer]` of `risorius.toml`.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-struct TrainerFile {
-    fit: FitFile,
+pub(super) struct TrainerFile {
+    pub(super) fit: FitFile,
 }
 
 #[derive(Serialize)]
@@ -86,14 +86,63 @@ struct Plan<'a> {
 }
 
 pub(super) fn run(args: &FitArgs, console: &Console) -> Result<(), Failure> {
-    match args.field.as_deref().unwrap_or("confies") {
-        "confies" => {}
-        "brick" => {
-            return Err(Failure::input("the field `brick` is not built yet").with_hint("use `--field confies`"));
-        }
-        other => return Err(Failure::usage(format!("there is no field `{other}`; fields: confies, brick"))),
-    }
     need(&args.dataset, "a dataset made by `dataset build`")?;
+    match resolve_field(args)?.as_str() {
+        "brick" => super::fit_brick::run(args, console),
+        "confies" => run_confies(args, console),
+        other => Err(Failure::usage(format!("there is no field `{other}`; fields: brick, confies"))),
+    }
+}
+
+/// The field of the run to resume, else what was asked for.
+fn resolve_field(args: &FitArgs) -> Result<String, Failure> {
+    if !args.resume {
+        return Ok(args.field.clone().unwrap_or_else(|| "brick".to_owned()));
+    }
+    #[derive(Deserialize)]
+    struct Begun {
+        #[serde(default = "confies")]
+        field: String,
+    }
+    fn confies() -> String {
+        "confies".to_owned()
+    }
+    let Begun { field } = read_settings(&args.out)?;
+    match &args.field {
+        Some(asked) if *asked != field => {
+            Err(Failure::input(format!("the run was begun with field `{field}`")).with_hint("leave out `--field`"))
+        }
+        _ => Ok(field),
+    }
+}
+
+/// `settings.toml` of a run.
+pub(super) fn read_settings<T: serde::de::DeserializeOwned>(run: &std::path::Path) -> Result<T, Failure> {
+    let path = run.join("settings.toml");
+    let text = std::fs::read_to_string(&path).map_err(|e| {
+        risorius_formats::FormatError::io(&path, "read", &e)
+            .with_hint("there is nothing to resume; leave out `--resume`")
+    })?;
+    Ok(toml::from_str(&text).map_err(|e| TrainerError::Run {
+        path,
+        message: e.message().to_owned(),
+        hint: "the file is written by `trainer fit`; fit into a new folder".to_owned(),
+    })?)
+}
+
+/// One line about a fit that ended.
+pub(super) fn describe(summary: &fit::FitSummary) -> String {
+    format!(
+        "{}: {} steps in {:.0} s, {:.0} rays/s, {:.2} dB on the training rays",
+        summary.run.display(),
+        summary.steps,
+        summary.seconds,
+        summary.rays_per_sec,
+        summary.train_psnr_db
+    )
+}
+
+fn run_confies(args: &FitArgs, console: &Console) -> Result<(), Failure> {
     let settings = resolve(args)?;
     settings.validate()?;
     let device = args.device.device()?;
@@ -121,31 +170,14 @@ pub(super) fn run(args: &FitArgs, console: &Console) -> Result<(), Failure> {
     }
     let limits = Limits { budget_secs: args.budget };
     let summary = fit::fit(&data, &settings, limits, &args.out, args.resume, &device, console)?;
-    let human = format!(
-        "{}: {} steps in {:.0} s, {:.0} rays/s, {:.2} dB on the training rays",
-        summary.run.display(),
-        summary.steps,
-        summary.seconds,
-        summary.rays_per_sec,
-        summary.train_psnr_db
-    );
-    console.finish(&summary, &human);
+    console.finish(&summary, &describe(&summary));
     Ok(())
 }
 
 /// Command line, then the settings of the run to resume, then `risorius.toml`, then the preset.
 fn resolve(args: &FitArgs) -> Result<FitSettings, Failure> {
     if args.resume {
-        let path = args.out.join("settings.toml");
-        let text = std::fs::read_to_string(&path).map_err(|e| {
-            risorius_formats::FormatError::io(&path, "read", &e)
-                .with_hint("there is nothing to resume; leave out `--resume`")
-        })?;
-        let mut settings: FitSettings = toml::from_str(&text).map_err(|e| TrainerError::Run {
-            path,
-            message: e.message().to_owned(),
-            hint: "the file is written by `trainer fit`; fit into a new folder".to_owned(),
-        })?;
+        let mut settings: FitSettings = read_settings(&args.out)?;
         if let Some(preset) = &args.preset
             && *preset != settings.preset
         {
@@ -171,7 +203,7 @@ fn resolve(args: &FitArgs) -> Result<FitSettings, Failure> {
 }
 
 /// Refuses to mix two fits in one folder.
-fn prepare_run(args: &FitArgs) -> Result<(), Failure> {
+pub(super) fn prepare_run(args: &FitArgs) -> Result<(), Failure> {
     if args.resume {
         return Ok(());
     }

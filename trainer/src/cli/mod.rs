@@ -2,6 +2,7 @@
 
 mod eval;
 mod fit;
+mod fit_brick;
 mod render;
 mod transfer;
 

@@ -69,7 +69,7 @@ fn shots_of_options(avatar: &Avatar, args: &RenderArgs, console: &Console) -> Ve
     warn_unknown(&unknown.into_iter().collect(), console);
     let reference = Camera::from(&avatar.saved.default_camera);
     let cameras = match args.orbit {
-        Some(count) => path::orbit(&reference, avatar.saved.space.center_in_world, avatar.saved.orbit_rad, count),
+        Some(count) => path::orbit(&reference, avatar.saved.center_in_world, avatar.saved.orbit_rad, count),
         None => vec![reference],
     };
     let shot = |(i, camera)| Shot { id: format!("{i:03}"), camera, attributes: attributes.clone() };

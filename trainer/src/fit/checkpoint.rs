@@ -17,12 +17,49 @@ use crate::model::ConfiesModel;
 /// Checkpoints kept.
 const KEEP: usize = 2;
 
+/// `state.json` of a checkpoint.
 #[derive(Debug, Serialize, Deserialize)]
-struct CheckpointState {
-    version: u32,
-    step: u64,
-    seconds: f64,
-    dataset_sha256: String,
+pub(crate) struct CheckpointState {
+    pub(crate) version: u32,
+    pub(crate) step: u64,
+    pub(crate) seconds: f64,
+    pub(crate) dataset_sha256: String,
+}
+
+/// The folder of a step's checkpoint.
+pub(crate) fn folder(run: &Path, step: u64) -> PathBuf {
+    run.join("checkpoints").join(format!("step-{step:08}"))
+}
+
+/// Removes all but the newest checkpoints.
+pub(crate) fn prune(run: &Path) -> Result<()> {
+    let all = list(run);
+    for (_, old) in &all[..all.len().saturating_sub(KEEP)] {
+        fs::remove_dir_all(old).map_err(|e| FormatError::io(old, "remove", &e))?;
+    }
+    Ok(())
+}
+
+/// The newest checkpoint and its state, if it was made from this dataset.
+pub(crate) fn newest(run: &Path, dataset_sha256: &str) -> Result<(PathBuf, CheckpointState)> {
+    let Some((_, path)) = list(run).pop() else {
+        return Err(TrainerError::Run {
+            path: run.to_owned(),
+            message: "holds no checkpoint to resume".to_owned(),
+            hint: "leave out `--resume` to begin".to_owned(),
+        });
+    };
+    let file = path.join("state.json");
+    let bytes = fs::read(&file).map_err(|e| FormatError::io(&file, "read", &e))?;
+    let state: CheckpointState = serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(&file))?;
+    if state.dataset_sha256 != dataset_sha256 {
+        return Err(TrainerError::Run {
+            path,
+            message: "was made from another dataset".to_owned(),
+            hint: "resume with the dataset of the run, or fit into a new folder".to_owned(),
+        });
+    }
+    Ok((path, state))
 }
 
 /// What a checkpoint holds.
@@ -63,7 +100,7 @@ pub fn save(
     seconds: f64,
     dataset_sha256: &str,
 ) -> Result<()> {
-    let path = run.join("checkpoints").join(format!("step-{step:08}"));
+    let path = folder(run, step);
     let dir = AtomicDir::create(&path)?;
     let weights = model.clone().into_record().into_bytes().map_err(|e| failed(&path, "pack the weights", &e))?;
     let moments = optimizer.into_bytes().map_err(|e| failed(&path, "pack the optimiser", &e))?;
@@ -73,35 +110,16 @@ pub fn save(
     let state = CheckpointState { version: 1, step, seconds, dataset_sha256: dataset_sha256.to_owned() };
     write_json(dir.path().join("state.json"), &state)?;
     dir.commit()?;
-    let all = list(run);
-    for (_, old) in &all[..all.len().saturating_sub(KEEP)] {
-        fs::remove_dir_all(old).map_err(|e| FormatError::io(old, "remove", &e))?;
-    }
-    Ok(())
+    prune(run)
 }
 
 /// Loads the newest checkpoint into a fresh model and optimiser.
 pub fn load(run: &Path, model: ConfiesModel, optimizer: ModuleOptimizer, dataset_sha256: &str) -> Result<Loaded> {
-    let Some((_, path)) = list(run).pop() else {
-        return Err(TrainerError::Run {
-            path: run.to_owned(),
-            message: "holds no checkpoint to resume".to_owned(),
-            hint: "leave out `--resume` to begin".to_owned(),
-        });
-    };
+    let (path, state) = newest(run, dataset_sha256)?;
     let read = |name: &str| {
         let file = path.join(name);
         fs::read(&file).map_err(|e| FormatError::io(&file, "read", &e))
     };
-    let state: CheckpointState =
-        serde_json::from_slice(&read("state.json")?).map_err(|e| json_error(&e).in_file(path.join("state.json")))?;
-    if state.dataset_sha256 != dataset_sha256 {
-        return Err(TrainerError::Run {
-            path,
-            message: "was made from another dataset".to_owned(),
-            hint: "resume with the dataset of the run, or fit into a new folder".to_owned(),
-        });
-    }
     let bytes = |v: Vec<u8>| burn::tensor::Bytes::from_bytes_vec(v);
     let record =
         ModuleRecord::from_bytes(bytes(read("weights.bpk")?)).map_err(|e| failed(&path, "read the weights", &e))?;

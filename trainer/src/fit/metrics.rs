@@ -36,6 +36,12 @@ pub struct MetricsLine {
     pub latent: f64,
 }
 
+/// What every line has.
+#[derive(Deserialize)]
+struct Stepped {
+    step: u64,
+}
+
 /// The open log.
 #[derive(Debug)]
 pub struct MetricsLog {
@@ -50,7 +56,7 @@ impl MetricsLog {
         let mut kept = Vec::new();
         if let (Ok(file), true) = (File::open(&path), step > 0) {
             for line in BufReader::new(file).lines().map_while(std::result::Result::ok) {
-                let keep = serde_json::from_str::<MetricsLine>(&line).is_ok_and(|m| m.step <= step);
+                let keep = serde_json::from_str::<Stepped>(&line).is_ok_and(|m| m.step <= step);
                 if keep {
                     kept.extend(line.as_bytes());
                     kept.push(b'\n');
@@ -62,12 +68,12 @@ impl MetricsLog {
         Ok(Self { path, writer: BufWriter::new(file) })
     }
 
-    /// Writes a line every few steps.
+    /// Writes the numbers of the paper's networks every few steps.
     pub fn record(&mut self, step: u64, seconds: f64, learning_rate: f64, n: &StepNumbers) -> Result<()> {
-        if !step.is_multiple_of(LOG_EVERY) && step != 1 {
+        if !Self::is_due(step) {
             return Ok(());
         }
-        let line = MetricsLine {
+        self.write(&MetricsLine {
             step,
             seconds: (seconds * 1e3).round() / 1e3,
             learning_rate,
@@ -77,9 +83,18 @@ impl MetricsLog {
             mask: n.mask,
             attribute: n.attribute,
             latent: n.latent,
-        };
+        })
+    }
+
+    /// Whether this step has a line.
+    pub fn is_due(step: u64) -> bool {
+        step.is_multiple_of(LOG_EVERY) || step == 1
+    }
+
+    /// Writes one line, which must have a `step`.
+    pub fn write(&mut self, line: &impl Serialize) -> Result<()> {
         let fail = |e: &std::io::Error| FormatError::io(&self.path, "write", e);
-        let text = serde_json::to_string(&line)
+        let text = serde_json::to_string(line)
             .map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(&self.path))?;
         writeln!(self.writer, "{text}").map_err(|e| fail(&e))?;
         self.writer.flush().map_err(|e| fail(&e))?;

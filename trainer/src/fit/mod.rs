@@ -188,7 +188,7 @@ fn fit_to_budget(
     Ok(settings.with_steps(steps))
 }
 
-fn settings_to_disk(settings: &FitSettings, run: &Path) -> Result<()> {
+pub(crate) fn settings_to_disk(settings: &impl Serialize, run: &Path) -> Result<()> {
     let path = run.join("settings.toml");
     let text = toml::to_string(settings).map_err(|e| TrainerError::Setting {
         message: format!("the settings cannot be written: {e}"),
@@ -206,17 +206,21 @@ fn save(
     run: &Path,
 ) -> Result<()> {
     checkpoint::save(run, &state.model, &state.optimizer, state.step, seconds, &data.sha256)?;
-    SavedModel::describe(data, settings, space).write(run, &state.model)?;
+    SavedModel::describe_confies(data, settings, space).write(run, &state.model)?;
+    manifest(data, "confies", settings.seed, state.step, seconds).write(run.join("run.json"))?;
+    Ok(())
+}
+
+/// `RUN/run.json`.
+pub(crate) fn manifest(data: &TrainData, field: &str, seed: u64, steps: u64, seconds: f64) -> RunManifest {
     RunManifest {
         version: 1,
         dataset: data.dir.clone(),
         dataset_sha256: data.sha256.clone(),
-        field: "confies".to_owned(),
-        seed: settings.seed,
-        steps: state.step,
+        field: field.to_owned(),
+        seed,
+        steps,
         seconds,
         written_by: format!("risorius {}", env!("CARGO_PKG_VERSION")),
     }
-    .write(run.join("run.json"))?;
-    Ok(())
 }

@@ -1,0 +1,31 @@
+//! The brick field: the fast equivalent of the CoNFies networks for the CPU.
+//!
+//! ```text
+//! lattice, table ─▶ field, expression ─▶ evaluate ─▶ rays ─▶ fit   (cull: what is skipped)
+//!        ▲ simd, matmul, math                          └───▶ render
+//! ```
+//!
+//! Grids of features in bricks and two tiny networks stand in for the paper's template F; residual grids per AU,
+//! blended once per image and gated by region masks, for the ambient slices; a warp in the same grids and a small latent
+//! one for the deformation field; numbers per image and AU for α and β. Everything here works on plain slices: no
+//! files, no tensors, no printing.
+//!
+//! Lengths are world units outside and the head box's [−1, 1]³ inside; colours are 0–1; attributes −1..1.
+
+pub mod cull;
+pub mod evaluate;
+pub mod expression;
+pub mod field;
+pub mod fit;
+pub mod lattice;
+mod matmul;
+pub mod math;
+pub mod model;
+pub mod occupancy;
+mod rays;
+pub mod render;
+pub mod simd;
+pub mod table;
+
+pub use fit::{Fitter, Pixel, Progress, Settings, StepNumbers, Views};
+pub use model::{BackgroundFrame, Brick, HeadBox, Layout};

@@ -1,0 +1,212 @@
+//! The whole avatar: a head box, the expression that deforms it, a static background, and what belongs to single images.
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use crate::evaluate::Deformation;
+use crate::expression::Expression;
+use crate::field::Field;
+use crate::lattice::{BRICK, Lattice};
+use crate::math::dot;
+use crate::occupancy::{March, Occupancy, crossing};
+use crate::table::Table;
+
+/// Numbers of a latent code ω.
+pub const LATENT: usize = 8;
+/// Vertices along each edge of the latent displacement's lattice.
+const LATENT_VERTICES: usize = 16;
+
+/// A cube in the world that becomes [−1, 1]³.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HeadBox {
+    /// Its middle, world units.
+    pub center: [f32; 3],
+    /// Half its edge, world units.
+    pub half: f32,
+}
+
+/// The background's space: the frustum of a mean camera between two depths, evenly divided in 1/depth.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BackgroundFrame {
+    /// Where the mean camera stands, world units.
+    pub position: [f32; 3],
+    /// Rows: its x, y and forward axes in the world.
+    pub axes: [[f32; 3]; 3],
+    /// Depth of the nearest and the farthest plane, world units.
+    pub near: f32,
+    /// See `near`.
+    pub far: f32,
+    /// Middle of x/depth and y/depth.
+    pub middle: [f32; 2],
+    /// Half the extent of x/depth and y/depth.
+    pub extent: [f32; 2],
+}
+
+impl BackgroundFrame {
+    /// A world ray as a march through the frame's box: x and y bend with depth, so points are made by [`Self::point`].
+    /// Gives where on the ray disparity `s` (+1 near … −1 far) is met.
+    #[inline(always)]
+    pub fn point(&self, origin: [f32; 3], direction: [f32; 3], s: f32) -> [f32; 3] {
+        let (near, far) = (1.0 / self.near, 1.0 / self.far);
+        let disparity = (near + far) * 0.5 + s * (near - far) * 0.5;
+        let t = (1.0 / disparity - origin[2]) / direction[2];
+        let x = (origin[0] + t * direction[0]) * disparity;
+        let y = (origin[1] + t * direction[1]) * disparity;
+        [(x - self.middle[0]) / self.extent[0], (y - self.middle[1]) / self.extent[1], s]
+    }
+
+    /// A point of the world in the frame's camera.
+    pub fn camera_from_world(&self, p: [f32; 3]) -> [f32; 3] {
+        let d = std::array::from_fn(|a| p[a] - self.position[a]);
+        self.turn(d)
+    }
+
+    /// A direction of the world in the frame's camera.
+    pub fn turn(&self, d: [f32; 3]) -> [f32; 3] {
+        std::array::from_fn(|a| dot(self.axes[a], d))
+    }
+}
+
+/// What a fit is about, in numbers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Layout {
+    /// Where the head is.
+    pub head_box: HeadBox,
+    /// The background, unless the camera stands still and its picture is known.
+    pub background: Option<BackgroundFrame>,
+    /// Region of each AU.
+    pub region_of: Vec<usize>,
+    /// Number of regions.
+    pub regions: usize,
+    /// Training images.
+    pub images: usize,
+    /// Vertices of the expression's lattice.
+    pub expression_vertices: usize,
+    /// Finest level of the head, vertices along an edge.
+    pub finest: usize,
+}
+
+/// A field with its occupancy.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Part {
+    /// The field.
+    pub field: Field,
+    /// Where it is not empty.
+    pub occupancy: Occupancy,
+}
+
+/// A fitted or growing avatar.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Brick {
+    /// What it is about.
+    pub layout: Layout,
+    /// The head.
+    pub head: Part,
+    /// The rest.
+    pub background: Option<Part>,
+    /// What AUs do.
+    pub expression: Expression,
+    /// Vertices of the latent displacements.
+    pub latent_lattice: Lattice,
+    /// One displacement field per number of ω.
+    pub latent_bases: Vec<Table>,
+    /// ω of each image.
+    pub codes: Table,
+    /// α of each image, as a difference from what was annotated.
+    pub alphas: Table,
+    /// ln β of each image and AU.
+    pub log_betas: Table,
+    /// A small turn and shift of each image's camera, box units.
+    pub motions: Table,
+    /// Samples along the box edge when rendering.
+    pub divisions: usize,
+    /// Planes of the background when rendering.
+    pub planes: usize,
+    /// The image whose latent code stands for a neutral face.
+    pub neutral_image: usize,
+}
+
+impl Brick {
+    /// An untrained avatar; `hull(world point)` gives the bits of the regions that hold it.
+    pub fn new(layout: Layout, seed: u64, hull: impl Fn([f32; 3]) -> u8) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut levels: Vec<Lattice> = [16, 32, 64].map(|n| Lattice::dense([n; 3])).into();
+        let mut n = 128;
+        while n <= layout.finest {
+            levels.push(Lattice::sparse([n; 3]));
+            n *= 2;
+        }
+        let head = Part { field: Field::new(levels, &mut rng), occupancy: Occupancy::default() };
+        let background = layout.background.map(|_| {
+            let levels = [[32, 24, 16], [64, 48, 32], [128, 96, 32], [256, 192, 16], [512, 384, 8]].map(Lattice::dense).into();
+            Part { field: Field::new(levels, &mut rng), occupancy: Occupancy::default() }
+        });
+        let HeadBox { center, half } = layout.head_box;
+        let expression = Expression::new([layout.expression_vertices; 3], layout.region_of.clone(), layout.regions, LATENT, |p| {
+            hull(std::array::from_fn(|a| center[a] + p[a] * half))
+        });
+        let latent_lattice = Lattice::dense([LATENT_VERTICES; 3]);
+        let latent_bases = (0..LATENT)
+            .map(|_| Table::new(latent_lattice.slots, BRICK * 4, || (rng.random::<f32>() - 0.5) * 1e-3))
+            .collect();
+        let (k, images) = (layout.region_of.len(), layout.images);
+        Self {
+            head,
+            background,
+            expression,
+            latent_lattice,
+            latent_bases,
+            codes: Table::new(images, LATENT, || (rng.random::<f32>() - 0.5) * 0.2),
+            alphas: Table::new(images, k, || 0.0),
+            log_betas: Table::new(images, k, || 0.0),
+            motions: Table::new(images, 6, || 0.0),
+            divisions: 96,
+            planes: 96,
+            neutral_image: 0,
+            layout,
+        }
+    }
+
+    /// Numbers that are learned.
+    pub fn parameters(&self) -> usize {
+        let field = |p: &Part| p.field.features.iter().map(|t| t.values.len()).sum::<usize>() + p.field.net.values.len();
+        field(&self.head)
+            + self.background.as_ref().map_or(0, field)
+            + self.expression.residuals.iter().map(|t| t.values.len()).sum::<usize>()
+            + self.expression.masks.values.len()
+            + self.latent_bases.iter().map(|t| t.values.len()).sum::<usize>()
+            + [&self.codes, &self.alphas, &self.log_betas, &self.motions].iter().map(|t| t.values.len()).sum::<usize>()
+    }
+
+    /// The displacement of a code ω, 4 numbers per vertex.
+    pub fn latent_blend(&self, code: &[f32], out: &mut Vec<f32>) {
+        out.clear();
+        out.resize(self.latent_lattice.slots * BRICK * 4, 0.0);
+        for (&c, basis) in code.iter().zip(&self.latent_bases) {
+            for (o, v) in out.iter_mut().zip(&basis.values) {
+                *o += c * v;
+            }
+        }
+    }
+
+    /// A world ray through the head box; `t` counts world units.
+    pub fn head_march(&self, origin: [f32; 3], direction: [f32; 3], divisions: usize, jitter: f32) -> March {
+        let HeadBox { center, half } = self.layout.head_box;
+        let origin = std::array::from_fn(|a| (origin[a] - center[a]) / half);
+        let (enter, exit) = crossing(origin, direction);
+        let step = 2.0 / divisions as f32;
+        March { origin, direction, t: enter + jitter * step, exit, step }
+    }
+}
+
+/// How strongly an AU acts at attribute α (−1..1): 0 at the AU's least, 1 at its most.
+#[inline]
+pub fn activation(alpha: f32) -> f32 {
+    (alpha + 1.0) * 0.5
+}
+
+/// Everything an image's rays need of the expression.
+pub fn deformation<'a>(model: &'a Brick, blend: &'a [f32], gates: &'a [f32], latent: Option<&'a [f32]>) -> Deformation<'a> {
+    Deformation { lattice: &model.expression.lattice, blend, gates, latent: latent.map(|l| (&model.latent_lattice, l)) }
+}

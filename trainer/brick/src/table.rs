@@ -1,0 +1,167 @@
+//! Trainable numbers in blocks, with Adam's moments and a step count per block.
+//!
+//! Only blocks that received a gradient are updated (nothing else moves), and bias correction uses a block's own count:
+//! with the global one, the first touch of a late block would take a full-size step in a random direction.
+
+use serde::{Deserialize, Serialize};
+
+/// A table of trainable numbers.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Table {
+    /// The numbers.
+    pub values: Vec<f32>,
+    /// First moments.
+    pub first: Vec<f32>,
+    /// Second moments.
+    pub second: Vec<f32>,
+    /// Updates so far, per block.
+    pub steps: Vec<u32>,
+    /// Numbers per block.
+    pub block: usize,
+}
+
+/// Gradients of a [`Table`], gathered by one thread.
+#[derive(Clone, Debug, Default)]
+pub struct TableGrad {
+    /// The gradients; all 0 outside touched blocks.
+    pub values: Vec<f32>,
+    /// Blocks that were written to.
+    pub touched: Vec<bool>,
+}
+
+/// How Adam steps.
+#[derive(Clone, Copy, Debug)]
+pub struct Adam {
+    /// Learning rates of each 8 consecutive numbers.
+    pub rates: [f32; 8],
+    /// Decay of the first moment.
+    pub beta1: f32,
+    /// Decay of the second moment.
+    pub beta2: f32,
+    /// Floor of the denominator.
+    pub epsilon: f32,
+}
+
+impl Adam {
+    /// The usual decays for grids.
+    pub fn new(rate: f32) -> Self {
+        Self { rates: [rate; 8], beta1: 0.9, beta2: 0.99, epsilon: 1e-12 }
+    }
+}
+
+impl Table {
+    /// A table of `blocks` blocks, filled by `init`.
+    pub fn new(blocks: usize, block: usize, mut init: impl FnMut() -> f32) -> Self {
+        let n = blocks * block;
+        Self {
+            values: (0..n).map(|_| init()).collect(),
+            first: vec![0.0; n],
+            second: vec![0.0; n],
+            steps: vec![0; blocks],
+            block,
+        }
+    }
+
+    /// Number of blocks.
+    pub fn blocks(&self) -> usize {
+        self.steps.len()
+    }
+
+    /// Appends zero blocks until there are `blocks`.
+    pub fn grow(&mut self, blocks: usize) {
+        if blocks > self.steps.len() {
+            let n = blocks * self.block;
+            self.values.resize(n, 0.0);
+            self.first.resize(n, 0.0);
+            self.second.resize(n, 0.0);
+            self.steps.resize(blocks, 0);
+        }
+    }
+
+    /// Updates the touched blocks from `from_block` on with the sum of `grads`, in their order, and clears these.
+    pub fn step(&mut self, grads: &mut [&mut TableGrad], adam: &Adam, from_block: usize) {
+        for block in from_block..self.steps.len() {
+            if !grads.iter().any(|g| g.touched.get(block).copied().unwrap_or(false)) {
+                continue;
+            }
+            let range = block * self.block..(block + 1) * self.block;
+            let (first, rest) = grads.split_at_mut(1);
+            for other in rest {
+                if other.touched.get(block).copied().unwrap_or(false) {
+                    other.touched[block] = false;
+                    for (a, b) in first[0].values[range.clone()].iter_mut().zip(&mut other.values[range.clone()]) {
+                        *a += *b;
+                        *b = 0.0;
+                    }
+                }
+            }
+            first[0].touched[block] = false;
+            self.steps[block] += 1;
+            let t = self.steps[block].min(10_000) as i32;
+            let update = Update {
+                correct1: 1.0 / (1.0 - adam.beta1.powi(t)),
+                correct2: 1.0 / (1.0 - adam.beta2.powi(t)),
+                adam: *adam,
+            };
+            crate::simd::run(UpdateTask {
+                update,
+                values: &mut self.values[range.clone()],
+                first: &mut self.first[range.clone()],
+                second: &mut self.second[range.clone()],
+                grads: &mut first[0].values[range],
+            });
+        }
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Update {
+    correct1: f32,
+    correct2: f32,
+    adam: Adam,
+}
+
+struct UpdateTask<'a> {
+    update: Update,
+    values: &'a mut [f32],
+    first: &'a mut [f32],
+    second: &'a mut [f32],
+    grads: &'a mut [f32],
+}
+
+impl crate::simd::Task for UpdateTask<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: crate::simd::Simd>(self) {
+        let Update { correct1, correct2, adam } = self.update;
+        let n = self.values.len();
+        let (values, first, second, grads) =
+            (&mut self.values[..n], &mut self.first[..n], &mut self.second[..n], &mut self.grads[..n]);
+        let one = |g: &mut f32, m: &mut f32, v: &mut f32, value: &mut f32, rate: f32| {
+            *m = adam.beta1 * *m + (1.0 - adam.beta1) * *g;
+            *v = adam.beta2 * *v + (1.0 - adam.beta2) * *g * *g;
+            *value -= rate * (*m * correct1) / ((*v * correct2).sqrt() + adam.epsilon);
+            *g = 0.0;
+        };
+        let whole = n / 8 * 8;
+        for i in (0..whole).step_by(8) {
+            for j in 0..8 {
+                one(&mut grads[i + j], &mut first[i + j], &mut second[i + j], &mut values[i + j], adam.rates[j]);
+            }
+        }
+        for i in whole..n {
+            one(&mut grads[i], &mut first[i], &mut second[i], &mut values[i], adam.rates[i % 8]);
+        }
+    }
+}
+
+impl TableGrad {
+    /// Makes room for `table`.
+    pub fn fit(&mut self, table: &Table) {
+        if self.values.len() < table.values.len() {
+            self.values.resize(table.values.len(), 0.0);
+            self.touched.resize(table.blocks(), false);
+        }
+    }
+}

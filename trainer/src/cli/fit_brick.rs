@@ -1,0 +1,74 @@
+//! `trainer fit --field brick`.
+
+use risorius_console::{Console, Failure};
+use serde::Serialize;
+
+use super::fit::{FitArgs, TrainerFile, describe, prepare_run, read_settings};
+use crate::brick::fit::{BrickSettings, fit};
+use crate::data::TrainData;
+
+#[derive(Serialize)]
+struct Plan<'a> {
+    frames: usize,
+    attributes: usize,
+    regions: usize,
+    image_scale: u32,
+    settings: &'a BrickSettings,
+}
+
+pub(super) fn run(args: &FitArgs, console: &Console) -> Result<(), Failure> {
+    if args.preset.is_some() || args.rays.is_some() {
+        return Err(Failure::usage("`--preset` and `--rays` belong to `--field confies`"));
+    }
+    args.device.device()?;
+    let mut settings = resolve(args)?;
+    if !args.dry_run {
+        prepare_run(args)?;
+    }
+    let data = TrainData::load(&args.dataset, settings.image_scale, console)?;
+    // Poses that come from a table of landmarks are never exact; a model of COLMAP's or a given one is.
+    let from_head = data.extras().is_some_and(|e| e.method == risorius_formats::pose_report::PoseMethod::Head);
+    if !args.resume {
+        settings.step.refine_cameras = from_head;
+    }
+    if args.dry_run {
+        let plan = Plan {
+            frames: data.frames.len(),
+            attributes: data.table.attributes.len(),
+            regions: data.table.regions.len(),
+            image_scale: data.scale,
+            settings: &settings,
+        };
+        let length = match settings.steps {
+            Some(steps) => format!("{steps} steps"),
+            None => format!("{:.0} s", settings.budget_secs),
+        };
+        let human = format!("would fit the brick field to {} frames (scale {}) for {length}", plan.frames, plan.image_scale);
+        console.finish(&plan, &human);
+        return Ok(());
+    }
+    let summary = fit(&data, &settings, &args.out, args.resume, console)?;
+    console.finish(&summary, &describe(&summary));
+    Ok(())
+}
+
+/// Command line, then the settings of the run to resume, then `risorius.toml`, then defaults.
+fn resolve(args: &FitArgs) -> Result<BrickSettings, Failure> {
+    let mut settings = if args.resume { read_settings(&args.out)? } else { BrickSettings::default() };
+    if !args.resume {
+        let file: TrainerFile = risorius_console::settings("trainer")?;
+        settings.steps = file.fit.steps;
+        settings.step.seed = file.fit.seed.unwrap_or(settings.step.seed);
+        settings.image_scale = file.fit.image_scale.unwrap_or(settings.image_scale);
+    }
+    if args.steps.is_some() {
+        settings.steps = args.steps;
+    }
+    if let Some(budget) = args.budget {
+        settings.budget_secs = budget;
+        settings.steps = None;
+    }
+    settings.step.seed = args.seed.unwrap_or(settings.step.seed);
+    settings.image_scale = args.image_scale.unwrap_or(settings.image_scale);
+    Ok(settings)
+}
