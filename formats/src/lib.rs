@@ -33,6 +33,7 @@ pub mod landmarks;
 pub mod mask;
 pub mod nerfies;
 pub mod openface;
+pub mod polygon;
 pub mod pose_report;
 pub mod region;
 pub mod report;

@@ -2,6 +2,7 @@ use super::*;
 use crate::se3::{rotation_angle, rotation_exp};
 use crate::testing;
 use glam::DMat3;
+use risorius_formats::polygon::{hull_contains, projected_hull};
 use risorius_formats::report::Collected;
 use risorius_formats::track::HeadPose;
 use risorius_formats::{FrameIndex, Landmarks68};
@@ -92,11 +93,10 @@ fn refined_poses_are_much_closer_to_the_truth_than_the_tables() {
     let lens = after.model.lenses[&1];
     for i in (0..240).step_by(5) {
         let camera = Camera { intrinsics: lens, camera_from_world: after.model.frames[&i].camera_from_world };
-        let outline =
-            crate::poses::mask::convex_hull(&after.hull.iter().map(|p| camera.project(*p)).collect::<Vec<_>>());
+        let outline = projected_hull(&after.hull, &camera);
         let points = track.rows[i as usize].landmarks.as_ref().unwrap();
         for p in &points.points_px {
-            assert!(crate::poses::mask::contains(&outline, DVec2::new(p[0].into(), p[1].into())), "frame {i}");
+            assert!(hull_contains(&outline, DVec2::new(p[0].into(), p[1].into())), "frame {i}");
         }
     }
     // Rotations stay rotations.
