@@ -188,5 +188,4 @@ fn insert_new<K: Ord + Copy + std::fmt::Display, V>(
 }
 
 #[cfg(test)]
-#[path = "tests.rs"]
 mod tests;

@@ -1,25 +1,13 @@
 use std::fmt::Write as _;
-use std::path::PathBuf;
 
 use glam::DVec3;
 use proptest::prelude::*;
+use risorius_tests::shared;
 
 use super::*;
 use crate::report::Collected;
 use crate::track::HeadPose;
 use crate::{ActionUnit, ErrorKind, FormatError, FrameIndex, Hint, Landmarks68, Silent, TrackRow};
-
-/// A file of the development data, or `None` with a loud word when it is not there.
-fn shared(path: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("RISORIUS_SHARED")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-    let file = root.join(path);
-    if !file.exists() {
-        eprintln!("SKIPPED: {} not found", file.display());
-        return None;
-    }
-    Some(file)
-}
 
 fn read_shared(path: &str) -> Option<(Track, Collected)> {
     let file = shared(path)?;
