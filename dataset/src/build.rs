@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use risorius_formats::atomic::AtomicDir;
+use risorius_formats::atomic::{self, AtomicDir};
 use risorius_formats::pose_report::write_json;
 use risorius_formats::{ActionUnit, AttributeSpec, AttributeTable, Camera, RegionTable, Reporter, Warning};
 
@@ -32,6 +32,8 @@ pub const TAKE_OFFSET: u32 = 1_000_000;
 pub const VAL_INTERVAL: usize = 20;
 /// Which of each [`VAL_INTERVAL`] frames it is: one in the middle, so that it has neighbours on both sides.
 pub const VAL_FIRST: usize = 10;
+/// The file that shows a folder to be a dataset.
+pub(crate) const DATASET_FILE: &str = "dataset.json";
 /// Above this remainder, in head radii, the faces of two takes do not agree.
 const MAX_WORLD_MISFIT: f64 = 0.1;
 
@@ -53,6 +55,7 @@ pub fn build(takes: &[PathBuf], out: &Path, options: &BuildOptions, reporter: &d
             hint: "name the folder of a take".to_owned(),
         });
     }
+    atomic::check_replaceable(out, "a dataset", &[DATASET_FILE])?;
     reporter.stage("read tracks and poses", Some(takes.len() as u64));
     let mut inputs = Vec::with_capacity(takes.len());
     for dir in takes {
@@ -111,7 +114,7 @@ pub fn build(takes: &[PathBuf], out: &Path, options: &BuildOptions, reporter: &d
     let report_dir = dir.join("report");
     write_json(report_dir.join("stats.json"), &report)?;
     let settings = toml::to_string(options).map_err(|e| DatasetError::encode(report_dir.join("settings.toml"), &e))?;
-    risorius_formats::atomic::write_file(report_dir.join("settings.toml"), settings.as_bytes())?;
+    atomic::write_file(report_dir.join("settings.toml"), settings.as_bytes())?;
     crate::plot::write_svg(&report_dir.join("distribution.svg"), &report)?;
     sheet::write_png(&report_dir.join("contact_sheet.png"), &thumbnails, &table)?;
     if reporter.cancelled() {
