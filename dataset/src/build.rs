@@ -11,9 +11,10 @@ use std::sync::Arc;
 
 use risorius_formats::atomic::{self, AtomicDir};
 use risorius_formats::pose_report::write_json;
-use risorius_formats::{ActionUnit, AttributeSpec, AttributeTable, Camera, RegionTable, Reporter, Warning};
+use risorius_formats::similarity::umeyama;
+use risorius_formats::{ActionUnit, AttributeSpec, AttributeTable, Camera, RegionTable, Reporter, Similarity, Warning};
 
-use crate::align::{self, Similarity, TakeInput};
+use crate::align::TakeInput;
 use crate::balance::{self, BalanceOptions};
 use crate::describe::{describe, head_hull};
 use crate::error::{DatasetError, Result};
@@ -147,11 +148,14 @@ fn common_world(inputs: &[TakeInput], reporter: &dyn Reporter) -> Result<Vec<Sim
     let mut worlds = vec![Similarity::IDENTITY];
     for input in &inputs[1..] {
         let first = &inputs[0].report;
-        let fit = align::fit_similarity(&input.report.landmarks_in_world, &first.landmarks_in_world);
-        let (similarity, misfit) = fit.ok_or_else(|| DatasetError::Option {
+        let (faces, own) = (&first.landmarks_in_world, &input.report.landmarks_in_world);
+        let pairs: Vec<_> = faces.iter().copied().zip(own.iter().copied()).collect();
+        let fit = umeyama(&pairs, true).filter(|fit| faces.len() == own.len() && !fit.on_a_line);
+        let fit = fit.ok_or_else(|| DatasetError::Option {
             message: format!("{}: has no face in common with the first take", input.take.pose_report_path().display()),
             hint: "find the poses of all takes anew with `tracker poses TAKE`".to_owned(),
         })?;
+        let misfit = fit.rms;
         if misfit > MAX_WORLD_MISFIT * first.head_radius {
             let message = format!(
                 "the face of take `{}` fits the first one's to {misfit:.4} of a head radius of {:.4} only",
@@ -159,7 +163,7 @@ fn common_world(inputs: &[TakeInput], reporter: &dyn Reporter) -> Result<Vec<Sim
             );
             reporter.warn(Warning::new("world-misfit", message));
         }
-        worlds.push(similarity);
+        worlds.push(fit.a_from_b);
     }
     Ok(worlds)
 }
@@ -291,7 +295,7 @@ fn candidates(
                 take,
                 frame: valid.frame,
                 intensities: valid.intensities.clone(),
-                camera: worlds[take].move_camera(camera),
+                camera: Camera { camera_from_world: worlds[take].transform_pose(&camera.camera_from_world), ..*camera },
                 polygons: regions::polygons(landmarks, styles, manifest.width, manifest.height),
             });
         }

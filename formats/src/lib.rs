@@ -39,6 +39,7 @@ pub mod region;
 pub mod report;
 pub mod run;
 pub mod scene;
+pub mod similarity;
 pub mod smooth;
 pub mod take;
 pub mod track;
@@ -53,6 +54,7 @@ pub use landmarks::Landmarks68;
 pub use region::RegionTable;
 pub use report::{Reporter, Silent, Warning};
 pub use scene::SceneBounds;
+pub use similarity::Similarity;
 pub use take::{Take, TakeManifest};
 pub use track::{Track, TrackRow};
 

@@ -5,7 +5,6 @@ use glam::DMat3;
 use risorius_formats::polygon::{hull_contains, projected_hull};
 use risorius_formats::report::Collected;
 use risorius_formats::track::HeadPose;
-use risorius_formats::{FrameIndex, Landmarks68};
 
 const FOCAL: f64 = 700.0;
 
@@ -54,18 +53,7 @@ fn row(i: u32) -> TrackRow {
     let off = rotation_exp(DVec3::new(0.05 * f64::from(i).sin(), 0.07 * (f64::from(i) * 0.7).cos(), 0.02));
     let pose =
         Isometry::new(truth(i).rotation * off, (truth(i).translation * 1.02 + DVec3::new(0.002, -0.003, 0.0)) * 1e3);
-    TrackRow {
-        frame: FrameIndex(i),
-        face_id: 0,
-        timestamp_secs: None,
-        confidence: 1.0,
-        success: true,
-        intensities: vec![],
-        presences: vec![],
-        landmarks: Some(Box::new(Landmarks68 { points_px })),
-        landmarks_in_camera_mm: None,
-        head_pose: Some(HeadPose::from_isometry(&pose)),
-    }
+    TrackRow { head_pose: Some(HeadPose::from_isometry(&pose)), ..testing::row(i, &points_px) }
 }
 
 fn options(refine: bool) -> HeadOptions {
