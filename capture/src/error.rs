@@ -23,12 +23,6 @@ pub enum CaptureError {
         /// The take's folder.
         path: PathBuf,
     },
-    /// There is something at the take's place that is no take, so that it is not replaced.
-    #[error("{}: already exists and is not a take, so it is not replaced", path.display())]
-    NotATake {
-        /// The path.
-        path: PathBuf,
-    },
     /// The take would swallow its own source.
     #[error("{}: lies in the take's folder `{}`, which is going to be replaced", input.display(), out.display())]
     InputInsideOutput {
@@ -54,7 +48,6 @@ impl Hint for CaptureError {
             Self::Format(e) => e.hint(),
             Self::Video(e) => e.hint(),
             Self::Exists { .. } => Some(Cow::Borrowed("choose another `--out`, or replace it with `--force`")),
-            Self::NotATake { .. } => Some(Cow::Borrowed("choose another `--out`, or remove it yourself")),
             Self::InputInsideOutput { .. } => Some(Cow::Borrowed("choose another `--out`")),
             Self::Interrupted | Self::Thread { .. } => None,
         }

@@ -8,7 +8,7 @@ use std::sync::mpsc;
 use std::time::Instant;
 
 use rayon::iter::{ParallelBridge, ParallelIterator};
-use risorius_formats::atomic::AtomicDir;
+use risorius_formats::atomic::{AtomicDir, check_replaceable};
 use risorius_formats::frame::{self, FrameIndex, FrameRecord};
 use risorius_formats::take::{SourceKind, TAKE_VERSION};
 use risorius_formats::{FormatError, Reporter, TakeManifest, Warning};
@@ -129,10 +129,7 @@ fn check_output(options: &RecordOptions) -> Result<()> {
     if !options.force {
         return Err(CaptureError::Exists { path: out.clone() });
     }
-    let is_empty_dir = || std::fs::read_dir(out).is_ok_and(|mut d| d.next().is_none());
-    if !out.join("take.toml").is_file() && !is_empty_dir() {
-        return Err(CaptureError::NotATake { path: out.clone() });
-    }
+    check_replaceable(out, "a take", &["take.toml"])?;
     let canonical = |path: &Path| std::fs::canonicalize(path).map_err(|e| FormatError::io(path, "open", &e));
     if canonical(&options.input)?.starts_with(canonical(out)?) {
         return Err(CaptureError::InputInsideOutput { input: options.input.clone(), out: out.clone() });

@@ -185,7 +185,8 @@ fn what_is_there_is_not_replaced_unasked() {
     let precious = dir.path().join("precious");
     fs::create_dir(&precious).unwrap();
     fs::write(precious.join("thesis.txt"), "").unwrap();
-    assert!(matches!(record(&forced(&video, &precious), &Silent), Err(CaptureError::NotATake { .. })));
+    let error = record(&forced(&video, &precious), &Silent).unwrap_err();
+    assert!(error.to_string().ends_with("is not a take, so it is not replaced"), "{error}");
     assert_eq!(names(dir.path()), ["precious", "take", "v.mp4"]);
 }
 

@@ -9,11 +9,12 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use risorius_formats::atomic::AtomicDir;
+use risorius_formats::atomic::{self, AtomicDir};
 use risorius_formats::pose_report::write_json;
-use risorius_formats::{ActionUnit, AttributeSpec, AttributeTable, Camera, RegionTable, Reporter, Warning};
+use risorius_formats::similarity::umeyama;
+use risorius_formats::{ActionUnit, AttributeSpec, AttributeTable, Camera, RegionTable, Reporter, Similarity, Warning};
 
-use crate::align::{self, Similarity, TakeInput};
+use crate::align::TakeInput;
 use crate::balance::{self, BalanceOptions};
 use crate::describe::{describe, head_hull};
 use crate::error::{DatasetError, Result};
@@ -32,6 +33,8 @@ pub const TAKE_OFFSET: u32 = 1_000_000;
 pub const VAL_INTERVAL: usize = 20;
 /// Which of each [`VAL_INTERVAL`] frames it is: one in the middle, so that it has neighbours on both sides.
 pub const VAL_FIRST: usize = 10;
+/// The file that shows a folder to be a dataset.
+pub(crate) const DATASET_FILE: &str = "dataset.json";
 /// Above this remainder, in head radii, the faces of two takes do not agree.
 const MAX_WORLD_MISFIT: f64 = 0.1;
 
@@ -55,6 +58,7 @@ pub fn build(takes: &[PathBuf], out: &Path, options: &BuildOptions, reporter: &d
             hint: "name the folder of a take".to_owned(),
         });
     }
+    atomic::check_replaceable(out, "a dataset", &[DATASET_FILE])?;
     reporter.stage("read tracks and poses", Some(takes.len() as u64));
     let mut inputs = Vec::with_capacity(takes.len());
     for dir in takes {
@@ -113,7 +117,7 @@ pub fn build(takes: &[PathBuf], out: &Path, options: &BuildOptions, reporter: &d
     let report_dir = dir.join("report");
     write_json(report_dir.join("stats.json"), &report)?;
     let settings = toml::to_string(options).map_err(|e| DatasetError::encode(report_dir.join("settings.toml"), &e))?;
-    risorius_formats::atomic::write_file(report_dir.join("settings.toml"), settings.as_bytes())?;
+    atomic::write_file(report_dir.join("settings.toml"), settings.as_bytes())?;
     crate::plot::write_svg(&report_dir.join("distribution.svg"), &report)?;
     sheet::write_png(&report_dir.join("contact_sheet.png"), &thumbnails, &table)?;
     if reporter.cancelled() {
@@ -146,11 +150,14 @@ fn common_world(inputs: &[TakeInput], reporter: &dyn Reporter) -> Result<Vec<Sim
     let mut worlds = vec![Similarity::IDENTITY];
     for input in &inputs[1..] {
         let first = &inputs[0].report;
-        let fit = align::fit_similarity(&input.report.landmarks_in_world, &first.landmarks_in_world);
-        let (similarity, misfit) = fit.ok_or_else(|| DatasetError::Option {
+        let (faces, own) = (&first.landmarks_in_world, &input.report.landmarks_in_world);
+        let pairs: Vec<_> = faces.iter().copied().zip(own.iter().copied()).collect();
+        let fit = umeyama(&pairs, true).filter(|fit| faces.len() == own.len() && !fit.on_a_line);
+        let fit = fit.ok_or_else(|| DatasetError::Option {
             message: format!("{}: has no face in common with the first take", input.take.pose_report_path().display()),
             hint: "find the poses of all takes anew with `tracker poses TAKE`".to_owned(),
         })?;
+        let misfit = fit.rms;
         if misfit > MAX_WORLD_MISFIT * first.head_radius {
             let message = format!(
                 "the face of take `{}` fits the first one's to {misfit:.4} of a head radius of {:.4} only",
@@ -158,7 +165,7 @@ fn common_world(inputs: &[TakeInput], reporter: &dyn Reporter) -> Result<Vec<Sim
             );
             reporter.warn(Warning::new("world-misfit", message));
         }
-        worlds.push(similarity);
+        worlds.push(fit.a_from_b);
     }
     Ok(worlds)
 }
@@ -290,7 +297,7 @@ fn candidates(
                 take,
                 frame: valid.frame,
                 intensities: valid.intensities.clone(),
-                camera: worlds[take].move_camera(camera),
+                camera: Camera { camera_from_world: worlds[take].transform_pose(&camera.camera_from_world), ..*camera },
                 asymmetry: landmarks.map_or(f32::INFINITY, risorius_formats::Landmarks68::asymmetry),
                 polygons: regions::polygons(landmarks, styles, manifest.width, manifest.height),
             });

@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 
 use risorius_formats::AttributeTable;
+use risorius_formats::Similarity;
 use risorius_formats::nerfies::{Annotation, Dataset, Extras, FrameMetadata};
 use risorius_formats::pose_report::PoseMethod;
 
-use crate::align::{Similarity, TakeInput};
+use crate::align::TakeInput;
 use crate::build::{Candidate, TAKE_OFFSET, VAL_FIRST, VAL_INTERVAL};
 use crate::options::BuildOptions;
 use crate::scene;

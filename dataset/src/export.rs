@@ -5,14 +5,18 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use polars::prelude::{Column, DataFrame, ParquetWriter};
-use risorius_formats::atomic::AtomicDir;
+use risorius_formats::atomic::{self, AtomicDir};
 use risorius_formats::nerfies::{self, Dataset};
 use risorius_formats::pose_report::write_json;
 use risorius_formats::{AttributeTable, Camera, ErrorKind, FormatError, Isometry, Reporter};
 use serde::Serialize;
 
+use crate::build::DATASET_FILE;
 use crate::error::{DatasetError, Result};
 use crate::{SCALES, TAKE_OFFSET};
+
+const TRANSFORMS_FILE: &str = "transforms.json";
+const FRAMES_FILE: &str = "frames.parquet";
 
 /// A number of a camera.
 type OfCamera<'a> = &'a dyn Fn(&Camera) -> f64;
@@ -49,6 +53,7 @@ pub fn export(dir: &Path, target: Target, out: &Path, reporter: &dyn Reporter) -
             hint: "export to a folder of its own".to_owned(),
         });
     }
+    atomic::check_replaceable(out, "an export", &[DATASET_FILE, TRANSFORMS_FILE, FRAMES_FILE])?;
     let staging = AtomicDir::create(out)?;
     let files = match target {
         Target::Nerfies => to_nerfies(&dataset, dir, staging.path(), reporter)?,
@@ -200,14 +205,14 @@ fn to_transforms(dataset: &Dataset, dir: &Path, out: &Path, reporter: &dyn Repor
         val_filenames: dataset.val_ids.iter().map(name).collect(),
         test_filenames: dataset.val_ids.iter().map(name).collect(),
     };
-    write_json(out.join("transforms.json"), &file)?;
+    write_json(out.join(TRANSFORMS_FILE), &file)?;
     Ok(dataset.ids.len() + 1)
 }
 
 /// A row per frame. `AUxx_attribute` is −1..1; `AUxx_intensity` is its inverse by eq. 1, 0–5, which tops out at 0.8 of
 /// the capture's largest value; null where the AU is inactive or the folder has no `attributes.toml`.
 fn to_parquet(dataset: &Dataset, dir: &Path, out: &Path) -> Result<usize> {
-    let path = out.join("frames.parquet");
+    let path = out.join(FRAMES_FILE);
     let table = if dir.join("attributes.toml").exists() {
         Some(AttributeTable::read(dir.join("attributes.toml"))?)
     } else {
@@ -277,7 +282,7 @@ fn to_parquet(dataset: &Dataset, dir: &Path, out: &Path) -> Result<usize> {
     let mut frame = DataFrame::new_infer_height(columns).map_err(|e| DatasetError::encode(&path, &e))?;
     let mut bytes = Vec::new();
     ParquetWriter::new(&mut bytes).finish(&mut frame).map_err(|e| DatasetError::encode(&path, &e))?;
-    risorius_formats::atomic::write_file(&path, &bytes)?;
+    atomic::write_file(&path, &bytes)?;
     Ok(1)
 }
 

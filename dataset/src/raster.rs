@@ -1,47 +1,18 @@
-//! Convex hulls, the pixels they cover, and tints over pictures.
+//! The pixels that a hull covers, and tints over pictures.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use image::RgbImage;
 use risorius_formats::Camera;
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::fill_polygon;
+use risorius_formats::polygon::projected_hull;
 
-/// The convex hull of `points` (Andrew's monotone chain), without points on its sides; fewer than three distinct
-/// points come back as they are, sorted.
-pub fn convex_hull(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
-    let mut sorted: Vec<_> = points.iter().copied().filter(|p| p.iter().all(|v| v.is_finite())).collect();
-    sorted.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
-    sorted.dedup();
-    if sorted.len() < 3 {
-        return sorted;
-    }
-    let turn = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-    let chain = |points: &mut dyn Iterator<Item = [f64; 2]>| {
-        let mut chain: Vec<[f64; 2]> = Vec::new();
-        for p in points {
-            while chain.len() >= 2 && turn(chain[chain.len() - 2], chain[chain.len() - 1], p) <= 0.0 {
-                chain.pop();
-            }
-            chain.push(p);
-        }
-        chain.pop();
-        chain
-    };
-    let mut hull = chain(&mut sorted.iter().copied());
-    hull.extend(chain(&mut sorted.iter().rev().copied()));
-    hull
-}
-
-/// The pixels that see the convex hull of `points_in_world`: 255 inside, 0 outside.
-///
-/// The hull of the projected corners is the projection of the hull as long as all corners lie in front of a camera
-/// without distortion; corners behind it are left out.
-pub fn hull_mask(points_in_world: &[DVec3], camera: &Camera) -> LabelImage {
+/// The pixels that see the convex hull of `corners_in_world`: 255 inside, 0 outside.
+pub fn hull_mask(corners_in_world: &[DVec3], camera: &Camera) -> LabelImage {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    let in_front = points_in_world.iter().filter(|&&p| camera.camera_from_world.transform_point(p).z > 1e-6);
-    let pixels: Vec<_> = in_front.map(|&p| camera.project(p).to_array()).collect();
+    let outline: Vec<_> = projected_hull(corners_in_world, camera).iter().map(DVec2::to_array).collect();
     let mut mask = LabelImage::new(width, height);
-    fill_polygon(&convex_hull(&pixels), width, height, |row, columns| {
+    fill_polygon(&outline, width, height, |row, columns| {
         let start = row as usize * width as usize;
         mask.labels[start + columns.start as usize..start + columns.end as usize].fill(255);
     });
@@ -74,7 +45,6 @@ pub fn tint(image: &mut RgbImage, labels: &LabelImage, strength: u16) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proptest::prelude::*;
     use risorius_formats::{Intrinsics, Isometry};
 
     #[test]
@@ -103,19 +73,5 @@ mod tests {
         let labels = LabelImage { width: 2, height: 1, labels: vec![0, 1] };
         tint(&mut image, &labels, 128);
         assert_eq!((image.get_pixel(0, 0).0, image.get_pixel(1, 0).0), ([100; 3], [165, 129, 50]));
-    }
-
-    proptest! {
-        #[test]
-        fn hulls_hold_all_points_and_turn_one_way(points in prop::collection::vec(prop::array::uniform2(-50f64..50.0), 3..40)) {
-            let hull = convex_hull(&points);
-            prop_assume!(hull.len() >= 3);
-            for i in 0..hull.len() {
-                let (a, b) = (hull[i], hull[(i + 1) % hull.len()]);
-                for p in &points {
-                    prop_assert!((b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]) > -1e-9);
-                }
-            }
-        }
     }
 }

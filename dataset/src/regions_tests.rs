@@ -46,9 +46,10 @@ pub(crate) fn face(scale: f32, cx: f32, cy: f32) -> Landmarks68 {
     Landmarks68 { points_px: p.map(|[x, y]| [cx + scale * x, cy + scale * y]) }
 }
 
-/// The hull of all points by gift wrapping, for comparison.
+/// The hull of all points, for comparison.
 fn hull(points: &[Point]) -> Vec<Point> {
-    crate::raster::convex_hull(points)
+    let points: Vec<_> = points.iter().map(|&p| glam::DVec2::from(p)).collect();
+    risorius_formats::polygon::convex_hull(&points).iter().map(glam::DVec2::to_array).collect()
 }
 
 #[test]

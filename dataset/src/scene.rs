@@ -4,9 +4,10 @@
 //! the corners of every picture at the far distance. Positional encodings want |x| < 1 (fact sheet §8.26).
 
 use glam::DVec2;
+use risorius_formats::Similarity;
 use risorius_formats::{Camera, SceneBounds};
 
-use crate::align::{Similarity, TakeInput};
+use crate::align::TakeInput;
 
 /// Centre, scale, near and far for `cameras`, which stand in the first take's world.
 pub fn bounds<'a>(

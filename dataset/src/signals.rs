@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use risorius_formats::smooth::window_for_fps;
 use risorius_formats::{ActionUnit, FrameRecord, Track};
 use serde::{Deserialize, Serialize};
 
@@ -107,7 +108,7 @@ pub fn smooth_track(
     }
     counts.valid = valid.len() as u32;
     counts.segments = segments.len() as u32;
-    let window = smooth::window_for(fps);
+    let window = window_for_fps(fps);
     let mut result: Vec<_> = valid
         .iter()
         .map(|&(frame, row, _)| ValidFrame { frame, row, intensities: Vec::with_capacity(units.len()) })

@@ -304,6 +304,43 @@ fn what_cannot_be_built_is_explained_and_leaves_nothing() {
 }
 
 #[test]
+fn a_folder_of_somebody_elses_is_not_replaced() {
+    let dir = tempfile::tempdir().unwrap();
+    let (take, other) = (dir.path().join("take"), dir.path().join("other"));
+    common::take().write(&take);
+    std::fs::create_dir(&other).unwrap();
+    std::fs::write(other.join("notes.txt"), "mine").unwrap();
+    for out in [&take, &other, &other.join("notes.txt")] {
+        let error = build(std::slice::from_ref(&take), out, &options(), &Silent).unwrap_err();
+        assert!(error.to_string().ends_with("not a dataset, so it is not replaced"), "{error}");
+    }
+    assert_eq!(std::fs::read(other.join("notes.txt")).unwrap(), b"mine");
+    // A dataset, and an export, may be.
+    let data = dir.path().join("data");
+    for _ in 0..2 {
+        build(std::slice::from_ref(&take), &data, &options(), &Silent).unwrap();
+    }
+    assert!(export(&data, Target::Parquet, &other, &Silent).is_err());
+    for target in [Target::Parquet, Target::Transforms, Target::Nerfies, Target::Parquet] {
+        export(&data, target, &dir.path().join("out"), &Silent).unwrap();
+    }
+}
+
+#[test]
+fn a_dataset_of_ours_without_its_attributes_is_damaged() {
+    let (dir, ..) = built(|_| {}, &options());
+    let data = dir.path().join("data");
+    for name in ["annotations.yml", "mapping.yml"] {
+        let text = std::fs::read(data.join(name)).unwrap();
+        std::fs::write(data.join(name), "").unwrap();
+        let found = problems(&data);
+        assert!(found.len() == 1 && found[0].ends_with(&format!("{name}: is missing or empty")), "{found:?}");
+        std::fs::write(data.join(name), text).unwrap();
+    }
+    assert_eq!(problems(&data), Vec::<String>::new());
+}
+
+#[test]
 fn every_damage_is_found_with_its_path() {
     let (dir, ..) = built(|_| {}, &options());
     let data = dir.path().join("data");

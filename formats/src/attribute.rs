@@ -110,7 +110,8 @@ impl AttributeTable {
     pub fn read(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let text = std::fs::read_to_string(path).map_err(|e| FormatError::io(path, "read", &e))?;
-        Self::parse(&text).map_err(|e| e.in_file(path))
+        Self::parse(&text)
+            .map_err(|e| e.in_file(path).or_hint("the file is written by `dataset build`; build the dataset again"))
     }
 
     /// Writes `attributes.toml`, whole or not at all.
@@ -143,8 +144,11 @@ impl AttributeTable {
 
 /// A TOML error with its line.
 pub(crate) fn toml_error(error: &toml::de::Error, text: &str) -> FormatError {
+    if text.trim().is_empty() {
+        return FormatError::new(ErrorKind::Empty, "is empty");
+    }
     let line = error.span().map(|s| text[..s.start.min(text.len())].matches('\n').count() as u64 + 1);
-    let result = FormatError::syntax(error.message().trim().to_owned());
+    let result = FormatError::syntax(error.message().trim().replace('\n', ", "));
     match line {
         Some(line) => result.at_line(line),
         None => result,

@@ -1,8 +1,8 @@
 //! What can be wrong with a file, and where: path, line and column first, then what was expected and found.
 
 use std::borrow::Cow;
-use std::fmt;
 use std::path::{Path, PathBuf};
+use std::{fmt, io};
 
 /// An error that may know what the user can do about it.
 ///
@@ -52,20 +52,13 @@ impl FormatError {
     }
 
     /// An operating-system error at `path`; `doing` is the verb, such as `read` or `create`.
-    pub fn io(path: impl AsRef<Path>, doing: &str, source: &std::io::Error) -> Self {
-        let hint = match source.kind() {
-            std::io::ErrorKind::NotFound => {
-                Some("check the path; relative paths start at the current folder".to_owned())
-            }
-            std::io::ErrorKind::StorageFull => Some("free some disk space and run the command again".to_owned()),
-            std::io::ErrorKind::PermissionDenied => Some("the file or folder belongs to another user".to_owned()),
-            _ => None,
-        };
-        let message = match source.kind() {
-            std::io::ErrorKind::NotFound => "does not exist".to_owned(),
-            std::io::ErrorKind::StorageFull => format!("cannot {doing}: no space left on the disk"),
-            _ => format!("cannot {doing}: {source}"),
-        };
+    ///
+    /// A path that is missing or in the way means something else where a file is to be read than where one is to be
+    /// made: verbs other than `read`, `open …` and `list …` are about outputs.
+    pub fn io(path: impl AsRef<Path>, doing: &str, source: &io::Error) -> Self {
+        let is_input = ["read", "open", "list", "copy"].iter().any(|verb| doing.starts_with(verb));
+        let (message, hint) = if is_input { unreadable(doing, source) } else { unwritable(doing, source) };
+        let hint = hint.map(str::to_owned);
         Self { kind: ErrorKind::Io, path: Some(path.as_ref().to_owned()), line: None, column: None, message, hint }
     }
 
@@ -102,6 +95,13 @@ impl FormatError {
         self
     }
 
+    /// Adds the hint unless there is one.
+    #[must_use]
+    pub fn or_hint(mut self, hint: impl Into<String>) -> Self {
+        self.hint.get_or_insert_with(|| hint.into());
+        self
+    }
+
     /// Of which sort the error is.
     pub fn kind(&self) -> ErrorKind {
         self.kind
@@ -120,6 +120,49 @@ impl FormatError {
     /// The column's name, where known.
     pub fn column(&self) -> Option<&str> {
         self.column.as_deref()
+    }
+}
+
+/// What is said about an input that the system does not give.
+fn unreadable(doing: &str, source: &io::Error) -> (String, Option<&'static str>) {
+    let (message, hint) = match source.kind() {
+        io::ErrorKind::NotFound => ("does not exist", "check the path; relative paths start at the current folder"),
+        io::ErrorKind::IsADirectory => ("is a folder, not a file", "name the file itself"),
+        io::ErrorKind::NotADirectory => ("does not exist: a part of the path is a file", "check the path"),
+        io::ErrorKind::PermissionDenied => ("may not be read", "the file or folder belongs to another user"),
+        // What `read_to_string` says about bytes that are no UTF-8.
+        io::ErrorKind::InvalidData => ("is not a text file", "it is damaged, of another kind, or not saved as UTF-8"),
+        _ => return (format!("cannot {doing}: {source}"), None),
+    };
+    (message.to_owned(), Some(hint))
+}
+
+/// What is said about an output that the system does not take.
+fn unwritable(doing: &str, source: &io::Error) -> (String, Option<&'static str>) {
+    let (reason, hint) = match source.kind() {
+        io::ErrorKind::NotFound => ("nothing can be made there", "choose a folder that you may write to"),
+        io::ErrorKind::AlreadyExists => ("a file is in its place", "choose another path, or remove the file"),
+        io::ErrorKind::NotADirectory => ("a part of the path is a file", "choose another path"),
+        io::ErrorKind::IsADirectory => ("a folder is in its place", "choose another path, or remove the folder"),
+        io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
+            ("no permission", "choose a folder that you may write to")
+        }
+        io::ErrorKind::StorageFull => ("no space left on the disk", "free some disk space and run the command again"),
+        _ => return (format!("cannot {doing}: {source}"), None),
+    };
+    (format!("cannot {doing}: {reason}"), Some(hint))
+}
+
+/// Some bytes of a file for a message, in backticks and short; what is no clean text is described instead.
+pub(crate) fn shown(bytes: &[u8]) -> String {
+    const LONGEST: usize = 40;
+    match std::str::from_utf8(bytes) {
+        Ok(text) if text.chars().any(char::is_control) => "bytes that are not text".to_owned(),
+        Ok(text) if text.chars().count() > LONGEST => {
+            format!("`{}…`", text.chars().take(LONGEST).collect::<String>())
+        }
+        Ok(text) => format!("`{text}`"),
+        Err(_) => "bytes that are not text".to_owned(),
     }
 }
 
@@ -146,5 +189,34 @@ impl std::error::Error for FormatError {}
 impl Hint for FormatError {
     fn hint(&self) -> Option<Cow<'_, str>> {
         self.hint.as_deref().map(Cow::Borrowed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn inputs_and_outputs_are_told_apart() {
+        let text = |doing: &str, kind: io::ErrorKind| {
+            let error = FormatError::io("x", doing, &kind.into());
+            (error.to_string(), error.hint().map(Cow::into_owned).unwrap_or_default())
+        };
+        assert_eq!(text("read", io::ErrorKind::NotFound).0, "x: does not exist");
+        assert_eq!(text("read", io::ErrorKind::IsADirectory).0, "x: is a folder, not a file");
+        let (message, hint) = text("create the folder", io::ErrorKind::NotFound);
+        assert_eq!(message, "x: cannot create the folder: nothing can be made there");
+        assert_eq!(hint, "choose a folder that you may write to");
+        assert_eq!(text("write", io::ErrorKind::StorageFull).0, "x: cannot write: no space left on the disk");
+        assert_eq!(text("create", io::ErrorKind::AlreadyExists).0, "x: cannot create: a file is in its place");
+    }
+
+    #[test]
+    fn only_clean_text_is_shown() {
+        assert_eq!(shown(b"abc"), "`abc`");
+        assert_eq!(shown("é".repeat(50).as_bytes()), format!("`{}…`", "é".repeat(40)));
+        for bytes in [&b"\x7fELF\0"[..], b"\xff\xfe", b"\x1b[31m"] {
+            assert_eq!(shown(bytes), "bytes that are not text");
+        }
     }
 }

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::error::shown;
 use crate::{ErrorKind, FormatError, Result, atomic};
 
 /// The number of a frame in its take, from 0.
@@ -55,24 +56,49 @@ pub struct FrameRecord {
 
 /// Parses `frames.csv`; extra columns are ignored, the index must count up from 0.
 pub fn parse_frames(bytes: &[u8]) -> Result<Vec<FrameRecord>> {
+    if bytes.trim_ascii().is_empty() {
+        return Err(FormatError::new(ErrorKind::Empty, "the table is empty"));
+    }
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
+    let headers = reader.headers().map_err(|e| row_error(&e))?.clone();
     let mut frames: Vec<FrameRecord> = Vec::new();
-    for row in reader.deserialize() {
-        let row: FrameRecord = row.map_err(|e: csv::Error| {
-            let line = e.position().map_or(1, csv::Position::line);
-            FormatError::syntax(format!("not a frame row: {e}")).at_line(line)
-        })?;
+    for record in reader.records() {
+        let record = record.map_err(|e| row_error(&e))?;
+        let line = record.position().map_or(1, csv::Position::line);
+        let row: FrameRecord =
+            record.deserialize(Some(&headers)).map_err(|e| cell_error(&e, &headers, &record).at_line(line))?;
         if row.index.0 as usize != frames.len() {
-            return Err(FormatError::new(
-                ErrorKind::Inconsistent,
-                format!("expected frame {}, found {}", frames.len(), row.index.0),
-            )
-            .at_line(frames.len() as u64 + 2)
-            .in_column("index"));
+            let message = format!("expected frame {}, found {}", frames.len(), row.index.0);
+            return Err(FormatError::new(ErrorKind::Inconsistent, message).at_line(line).in_column("index"));
         }
         frames.push(row);
     }
     Ok(frames)
+}
+
+/// Why a line is no row of the table at all.
+fn row_error(error: &csv::Error) -> FormatError {
+    let line = error.position().map_or(1, csv::Position::line);
+    let message = match error.kind() {
+        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+            format!("expected {expected_len} columns, found {len}")
+        }
+        csv::ErrorKind::Utf8 { .. } => "is not a text table".to_owned(),
+        _ => format!("cannot be read as a table: {error}"),
+    };
+    FormatError::syntax(message).at_line(line)
+}
+
+/// Which cell of a row does not hold what it should.
+fn cell_error(error: &csv::Error, headers: &csv::StringRecord, record: &csv::StringRecord) -> FormatError {
+    let csv::ErrorKind::Deserialize { err, .. } = error.kind() else { return row_error(error) };
+    let Some(column) = err.field().map(|f| f as usize) else {
+        // Without a cell it is a column that is not there.
+        return FormatError::syntax(err.kind().to_string());
+    };
+    let found = shown(record.get(column).unwrap_or_default().as_bytes());
+    FormatError::syntax(format!("cannot use {found}: {}", err.kind()))
+        .in_column(headers.get(column).unwrap_or_default())
 }
 
 /// Reads `frames.csv`.
@@ -131,5 +157,20 @@ mod tests {
         let text = "index,timestamp_nanos,dropped_before,repeated,sharpness,luma_mean,clipped_share\n0,0,0,false,,,\n2,1,0,false,,,\n";
         let error = parse_frames(text.as_bytes()).unwrap_err();
         assert_eq!((error.line(), error.column()), (Some(3), Some("index")));
+    }
+
+    #[test]
+    fn damage_is_named_with_its_line_and_column() {
+        let head = "index,timestamp_nanos,dropped_before,repeated,sharpness,luma_mean,clipped_share\n0,0,0,false,,,\n";
+        let error = |bytes: &[u8]| parse_frames(bytes).unwrap_err().to_string();
+        let with = |row: &str| error(format!("{head}{row}").as_bytes());
+        assert_eq!(error(b"\n"), "the table is empty");
+        assert_eq!(error(b"\x7fELF\xff\xfe\n\xff"), "line 1: is not a text table");
+        assert_eq!(with("1,33,0"), "line 3: expected 7 columns, found 3");
+        assert_eq!(
+            with("1,x,0,false,,,"),
+            "line 3: column `timestamp_nanos`: cannot use `x`: invalid digit found in string"
+        );
+        assert_eq!(error(b"index\n0\n"), "line 2: missing field `timestamp_nanos`");
     }
 }

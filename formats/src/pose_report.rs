@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use crate::{FormatError, Result, atomic};
+use crate::{ErrorKind, FormatError, Result, atomic};
 
 /// How the cameras of a take were found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -86,8 +86,20 @@ impl PoseReport {
 pub fn json_error(error: &serde_json::Error) -> FormatError {
     let text = error.to_string();
     let message = text.rsplit_once(" at line ").map_or(text.as_str(), |(m, _)| m).to_owned();
+    let (line, column) = (error.line() as u64, error.column());
+    if error.is_eof() {
+        // The place where it ends says nothing about what is wrong.
+        return if line <= 1 && column == 0 {
+            FormatError::new(ErrorKind::Empty, "is empty").with_hint("the disk was full, or the copy of it failed")
+        } else {
+            FormatError::syntax(format!("the file ends too early: {message}"))
+                .at_line(line)
+                .with_hint("it is cut off; make or copy it again")
+        };
+    }
     let result = FormatError::syntax(message);
-    if error.line() > 0 { result.at_line(error.line() as u64).in_column(error.column().to_string()) } else { result }
+    let result = if line > 0 { result.at_line(line).in_column(column.to_string()) } else { result };
+    if (line, column) == (1, 1) && error.is_syntax() { result.with_hint("this is not a JSON file") } else { result }
 }
 
 /// Writes `value` as indented JSON, whole or not at all.

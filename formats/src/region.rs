@@ -1,7 +1,10 @@
 //! The face regions and which AU belongs to which: many AUs to one region mask (paper, figure 3; fact sheet §6.1).
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 
+use crate::attribute::toml_error;
 use crate::{ActionUnit, ErrorKind, FormatError, Result};
 
 /// One region mask and its AUs, in the model's order.
@@ -34,6 +37,15 @@ impl RegionTable {
                 region("mouth", &[10, 12, 14, 15, 17, 20, 23, 25, 26]),
             ],
         }
+    }
+
+    /// Reads a table of one's own: a TOML file with `[[regions]]`.
+    pub fn read(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let text = std::fs::read_to_string(path).map_err(|e| FormatError::io(path, "read", &e))?;
+        toml::from_str(&text).map_err(|e| {
+            toml_error(&e, &text).in_file(path).with_hint("write `[[regions]]`, `name = \"brow\"`, `units = [\"AU01\", \"AU02\"]` for each of brow, eye and mouth")
+        })
     }
 
     /// The same regions with only the AUs in `units`; a region may end up empty.

@@ -2,13 +2,15 @@
 //!
 //! One definition for building datasets and for transferring expressions: an AU curve means the same in both.
 
-/// Polynomial order.
+/// The duration of the window, seconds: a blink lasts 0.1–0.4 s, and a longer window flattens AU45.
+pub const WINDOW_SECS: f64 = 0.125;
+/// The order of the fitted polynomial.
 pub const ORDER: usize = 3;
 
-/// The odd window nearest below or at 0.125 s: a blink lasts 0.1–0.4 s and must survive.
+/// The odd window for a frame rate: [`WINDOW_SECS`] long, but never too short for the polynomial to smooth.
 pub fn window_for_fps(fps: f64) -> usize {
-    let frames = (0.125 * fps).round().max(1.0) as usize;
-    if frames % 2 == 1 { frames } else { frames + 1 }
+    let frames = if fps.is_finite() { (WINDOW_SECS * fps).round().clamp(0.0, 1e6) as usize } else { 0 };
+    (frames | 1).max(ORDER + 2)
 }
 
 /// Smooths every run of values by itself; gaps stay gaps and nothing is filtered across them.
@@ -32,9 +34,11 @@ pub fn smooth_segments(values: &[Option<f32>], window: usize, order: usize) -> V
 
 /// Smooths one run: least-squares polynomials over a sliding window, at the ends the polynomial of the first and last
 /// whole window ("interp" in SciPy). Values that are polynomials of `order` come out unchanged.
+///
+/// An even window is taken one longer; a window longer than the run shrinks to the largest odd one that fits.
 pub fn smooth_run(values: &[f64], window: usize, order: usize) -> Vec<f64> {
     let n = values.len();
-    let fitting = window.min(if n % 2 == 1 { n } else { n.saturating_sub(1) });
+    let fitting = (window | 1).min(if n % 2 == 1 { n } else { n.saturating_sub(1) });
     if fitting < 3 || fitting <= order {
         return values.to_vec();
     }
@@ -91,8 +95,8 @@ mod tests {
     }
 
     #[test]
-    fn windows_are_odd_and_an_eighth_of_a_second() {
-        for (fps, window) in [(120.0, 15), (60.0, 9), (30.0, 5), (24.0, 3), (1.0, 1)] {
+    fn windows_are_odd_and_an_eighth_of_a_second_or_just_enough_to_smooth() {
+        for (fps, window) in [(120.0, 15), (60.0, 9), (30.0, 5), (24.0, 5), (240.0, 31), (0.0, 5), (f64::NAN, 5)] {
             assert_eq!(window_for_fps(fps), window, "{fps}");
         }
     }

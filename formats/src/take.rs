@@ -86,6 +86,9 @@ impl TakeManifest {
     }
 }
 
+/// What to do about a take whose own files do not hold what `capture record` wrote.
+const DAMAGED: &str = "the take is damaged; make it again with `capture record --force`";
+
 /// A take that was opened: its folder, manifest and frames.
 #[derive(Clone, Debug)]
 pub struct Take {
@@ -109,17 +112,22 @@ impl Take {
         }
         let path = dir.join("take.toml");
         let text = std::fs::read_to_string(&path).map_err(|e| {
-            FormatError::io(&path, "read", &e)
-                .with_hint("this folder is not a take; make one with `capture record --input VIDEO --out TAKE`")
+            let error = FormatError::io(&path, "read", &e);
+            match e.kind() {
+                std::io::ErrorKind::NotFound => error
+                    .with_hint("this folder is not a take; make one with `capture record --input VIDEO --out TAKE`"),
+                _ => error,
+            }
         })?;
-        let manifest = TakeManifest::parse(&text).map_err(|e| e.in_file(&path))?;
-        let frames = frame::read_frames(dir.join("frames.csv"))?;
+        let manifest = TakeManifest::parse(&text).map_err(|e| e.in_file(&path).or_hint(DAMAGED))?;
+        let frames = frame::read_frames(dir.join("frames.csv")).map_err(|e| e.with_hint(DAMAGED))?;
         if frames.len() != manifest.frame_count as usize {
             return Err(FormatError::new(
                 ErrorKind::Inconsistent,
                 format!("has {} rows, but take.toml states {} frames", frames.len(), manifest.frame_count),
             )
-            .in_file(dir.join("frames.csv")));
+            .in_file(dir.join("frames.csv"))
+            .with_hint(DAMAGED));
         }
         Ok(Self { dir, manifest, frames })
     }

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use risorius_formats::pose_report::PoseReport;
+use risorius_formats::similarity::umeyama;
 use risorius_formats::{Camera, Isometry, Reporter, Take};
 use serde::Serialize;
 
-use crate::align::{Similarity, umeyama};
 use crate::error::{Result, TrackerError};
 use crate::import::MIN_CONFIDENCE;
 use crate::poses::model::{self, TakeModel};
@@ -118,7 +118,7 @@ pub fn compare(own: &TakeModel, reference: &BTreeMap<u32, Isometry>, report: &Po
     // Interpolated frames are to be judged, not to decide where the worlds meet.
     let placed = common.iter().zip(&centers).filter(|((_, _, frame), _)| !is_interpolated(*frame));
     let placed: Vec<_> = placed.map(|(_, centers)| *centers).collect();
-    let reference_from_own: Similarity = umeyama(&placed, true).or_else(|| umeyama(&centers, true))?;
+    let reference_from_own = umeyama(&placed, true).or_else(|| umeyama(&centers, true))?.a_from_b;
     let error = |(a, b, frame): &(Camera, Isometry, u32)| {
         let moved = reference_from_own.transform_pose(&a.camera_from_world);
         let angle = rotation_angle(&(moved.rotation * b.rotation.transpose())).to_degrees();
@@ -154,6 +154,8 @@ pub fn compare(own: &TakeModel, reference: &BTreeMap<u32, Isometry>, report: &Po
 
 #[cfg(test)]
 mod tests {
+    use risorius_formats::Similarity;
+
     use super::*;
     use crate::poses::model::PlacedFrame;
     use crate::se3::{self, Twist};

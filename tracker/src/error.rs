@@ -66,7 +66,7 @@ pub enum TrackerError {
         hint: &'static str,
     },
     /// There is no model where one should be.
-    #[error("{dir}: is not a COLMAP model: found neither `cameras.txt` nor `cameras.bin` in it, in `sparse` or in numbered folders", dir = dir.display())]
+    #[error("{dir}: is not a COLMAP model: found neither `cameras.txt` and `images.txt` nor `cameras.bin` and `images.bin` in it, in `sparse` or in numbered folders", dir = dir.display())]
     NoModel {
         /// The folder that was searched.
         dir: PathBuf,

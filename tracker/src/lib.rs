@@ -6,7 +6,6 @@
 //!
 //! Landmarks and AUs by this program's own models (`tracker run`) do not exist yet.
 
-pub mod align;
 pub mod check;
 #[doc(hidden)]
 pub mod cli;

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use glam::DVec2;
 use image::{Rgb, RgbImage};
+use risorius_formats::polygon::projected_hull;
 use risorius_formats::pose_report::PoseReport;
 use risorius_formats::{FormatError, FrameIndex, Reporter, Silent, Take};
 
 use crate::error::Result;
-use crate::poses::mask::convex_hull;
 use crate::poses::{model, read_track};
 
 /// Writes `count` pictures into `out`: tracked landmarks green, mean face red, outline of the head hull blue.
@@ -27,7 +27,7 @@ pub fn draw(take_dir: impl AsRef<Path>, out: &Path, count: usize, reporter: &dyn
     let drawn = |frame: u32, mut picture: RgbImage| -> Result<()> {
         if let Some(camera) = placed.camera(frame) {
             if let Some(hull) = &report.head_hull_in_world {
-                let outline = convex_hull(&hull.iter().map(|p| camera.project(*p)).collect::<Vec<_>>());
+                let outline = projected_hull(hull, &camera);
                 for i in 0..outline.len() {
                     line(&mut picture, outline[i], outline[(i + 1) % outline.len()], Rgb([60, 120, 255]));
                 }

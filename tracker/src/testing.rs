@@ -3,7 +3,23 @@
 use std::path::{Path, PathBuf};
 
 use risorius_formats::take::{SourceKind, TAKE_VERSION};
-use risorius_formats::{FrameIndex, FrameRecord, TakeManifest, frame};
+use risorius_formats::{FrameIndex, FrameRecord, Landmarks68, TakeManifest, TrackRow, frame};
+
+/// A trusted row of a table without AUs.
+pub(crate) fn row(frame: u32, points_px: &[[f32; 2]; 68]) -> TrackRow {
+    TrackRow {
+        frame: FrameIndex(frame),
+        face_id: 0,
+        timestamp_secs: None,
+        confidence: 1.0,
+        success: true,
+        intensities: vec![],
+        presences: vec![],
+        landmarks: Some(Box::new(Landmarks68 { points_px: *points_px })),
+        landmarks_in_camera_mm: None,
+        head_pose: None,
+    }
+}
 
 /// A take of `frames` frames at 25 frames/s without its video.
 pub(crate) fn take(dir: &Path, width: u32, height: u32, frames: u32) -> PathBuf {

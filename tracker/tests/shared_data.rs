@@ -1,60 +1,24 @@
 //! Import and poses on the development data: a capture with exact truth and two real clips.
 
-#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a test fails by panicking and says why it is skipped")]
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use risorius_formats::report::Collected;
-use risorius_formats::take::{SourceKind, TAKE_VERSION};
-use risorius_formats::{FrameIndex, FrameRecord, TakeManifest, colmap, frame};
+use risorius_formats::{FrameIndex, colmap};
 use risorius_tracker::check::{self, Reference};
 use risorius_tracker::import::{ImportOptions, import};
 use risorius_tracker::poses::head::{HeadOptions, SMOOTH_SECS};
 use risorius_tracker::poses::{self, PosesOptions, Source, interpolate::MAX_GAP_SECS};
+use testing::take_at;
+
+#[path = "../src/testing.rs"]
+#[expect(dead_code, reason = "the crate's own tests use all of it")]
+mod testing;
 
 fn shared(path: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("RISORIUS_SHARED")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-    let path = root.join("data").join(path);
-    if path.exists() {
-        return Some(path);
-    }
-    eprintln!("SKIPPED: {} not found", path.display());
-    None
-}
-
-/// A take without its video, which neither import nor these poses need.
-fn take(dir: &Path, width: u32, height: u32, frames: u32, fps: f64) -> PathBuf {
-    let dir = dir.join("take");
-    fs::create_dir_all(&dir).unwrap();
-    let manifest = TakeManifest {
-        version: TAKE_VERSION,
-        subject: String::new(),
-        consent: String::new(),
-        source: SourceKind::Video,
-        media: "video.mp4".into(),
-        media_sha256: String::new(),
-        original_name: "video.mp4".into(),
-        device: None,
-        width,
-        height,
-        rotation_degrees: 0,
-        fps_asked: Some(fps),
-        fps_measured: fps,
-        frame_count: frames,
-        dropped_frames: 0,
-        repeated_frames: 0,
-        written_by: "test".into(),
-    };
-    manifest.write(dir.join("take.toml")).unwrap();
-    let record = |i| FrameRecord {
-        index: FrameIndex(i),
-        timestamp_nanos: (f64::from(i) / fps * 1e9).round() as i64,
-        ..FrameRecord::default()
-    };
-    frame::write_frames(dir.join("frames.csv"), &(0..frames).map(record).collect::<Vec<_>>()).unwrap();
-    dir
+    risorius_tests::shared(&format!("data/{path}"))
 }
 
 fn options(source: Source, correct_by_landmarks: bool) -> PosesOptions {
@@ -69,7 +33,7 @@ fn head_options(refine: bool) -> HeadOptions {
 fn key_frames_and_landmarks_place_every_frame_of_ada() {
     let Some(ada) = shared("captures/ada") else { return };
     let dir = tempfile::tempdir().unwrap();
-    let take = take(dir.path(), 540, 960, 2400, 120.0);
+    let take = take_at(dir.path(), 540, 960, 2400, 120.0);
     let summary = import(&take, &ImportOptions::new(ada.join("openface.csv")), &Collected::default()).unwrap();
     // The README names the ten lost frames.
     assert_eq!(summary.quality.lost_runs, [[85, 87], [1244, 1244], [1723, 1723], [1974, 1976], [2222, 2223]]);
@@ -103,7 +67,7 @@ fn key_frames_and_landmarks_place_every_frame_of_ada() {
 fn the_head_route_beats_the_tables_own_poses_on_ada() {
     let Some(ada) = shared("captures/ada") else { return };
     let dir = tempfile::tempdir().unwrap();
-    let take = take(dir.path(), 540, 960, 2400, 120.0);
+    let take = take_at(dir.path(), 540, 960, 2400, 120.0);
     import(&take, &ImportOptions::new(ada.join("openface.csv")), &Collected::default()).unwrap();
     let truth = Reference { dir: ada.join("truth_colmap"), first: 0 };
     let errors = |refine| {
@@ -122,7 +86,7 @@ fn the_head_route_fits_real_clips_better_than_the_tables_poses() {
     for (name, size, frames) in [("d6", 480, 1008), ("d3", 512, 354)] {
         let Some(table) = shared(&format!("video/liveportrait_driving_{name}.openface.csv")) else { return };
         let dir = tempfile::tempdir().unwrap();
-        let take = take(dir.path(), size, size, frames, 30.0);
+        let take = take_at(dir.path(), size, size, frames, 30.0);
         let summary = import(&take, &ImportOptions::new(table), &Collected::default()).unwrap();
         let still: Vec<String> = summary.quality.still_units.iter().map(ToString::to_string).collect();
         assert!(still.contains(&"AU06".to_owned()) && still.contains(&"AU09".to_owned()), "{still:?}");

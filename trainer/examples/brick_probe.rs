@@ -19,6 +19,7 @@ fn main() {
     println!("setup {:.1}s bricks {} per region {:?} params {}", t.elapsed().as_secs_f32(), model.expression.lattice.slots, model.expression.slots_of.iter().map(|s| s.len()).collect::<Vec<_>>(), model.parameters());
     let mut st = Settings { refine_cameras: env("CAM", 0.0) > 0.0, latent: env("LAT", 1.0) > 0.0, ..Default::default() };
     st.spread = [env("SP", st.spread[0]), env("SPB", st.spread[1])];
+    st.smooth = [env("SM", st.smooth[0]), env("SMW", st.smooth[1])];
     st.finest = [env("DIV", 160.0) as usize, env("PL", 160.0) as usize];
     st.residual_rate = env("RR", st.residual_rate); st.images = env("NI", st.images as f32) as usize;
     st.warp_rate = env("LRW", st.warp_rate); st.grid_rate = env("LR", st.grid_rate); st.haze[0] = env("HAZE", st.haze[0]); st.haze[1]=env("HAZE1", st.haze[1]); st.final_rate = env("FR", st.final_rate); st.samples = env("B", st.samples as f32) as usize;

@@ -2,6 +2,7 @@
 
 use glam::{DVec2, DVec3};
 use risorius_formats::Camera;
+use risorius_formats::polygon::{hull_contains, projected_hull};
 
 /// A convex polygon, counter-clockwise in a y-up sense.
 #[derive(Clone, Debug)]
@@ -12,36 +13,13 @@ pub struct Outline {
 impl Outline {
     /// The convex hull of the projections of `corners_in_world`; corners behind the camera are left out.
     pub fn of(corners_in_world: &[DVec3], camera: &Camera) -> Self {
-        let in_front = |p: &&DVec3| camera.camera_from_world.transform_point(**p).z > 1e-9;
-        let mut points: Vec<DVec2> = corners_in_world.iter().filter(in_front).map(|p| camera.project(*p)).collect();
-        points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
-        points.dedup();
-        // Andrew's monotone chain.
-        let half = |points: &mut dyn Iterator<Item = DVec2>| {
-            let mut chain: Vec<DVec2> = Vec::new();
-            for p in points {
-                while chain.len() >= 2 && turn(chain[chain.len() - 2], chain[chain.len() - 1], p) <= 0.0 {
-                    chain.pop();
-                }
-                chain.push(p);
-            }
-            chain.pop();
-            chain
-        };
-        let mut corners = half(&mut points.iter().copied());
-        corners.extend(half(&mut points.iter().rev().copied()));
-        Self { corners }
+        Self { corners: projected_hull(corners_in_world, camera) }
     }
 
     /// Whether a pixel position lies inside.
     pub fn contains(&self, p: DVec2) -> bool {
-        let n = self.corners.len();
-        n >= 3 && (0..n).all(|i| turn(self.corners[i], self.corners[(i + 1) % n], p) >= 0.0)
+        hull_contains(&self.corners, p)
     }
-}
-
-fn turn(a: DVec2, b: DVec2, c: DVec2) -> f64 {
-    (b - a).perp_dot(c - a)
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use risorius_console::{Console, Failure};
-use risorius_formats::{FormatError, RegionTable};
+use risorius_formats::RegionTable;
 use serde::Deserialize;
 
 use crate::{BuildOptions, Report, Sampling};
@@ -91,7 +91,7 @@ fn resolve(args: &Args, settings: Settings) -> Result<BuildOptions, Failure> {
     scales.sort_unstable();
     scales.dedup();
     let regions = match args.regions.clone().or(settings.regions) {
-        Some(path) => read_regions(&path)?,
+        Some(path) => RegionTable::read(&path)?,
         None => default.regions,
     };
     Ok(BuildOptions {
@@ -104,15 +104,6 @@ fn resolve(args: &Args, settings: Settings) -> Result<BuildOptions, Failure> {
         min_confidence: args.min_confidence.or(settings.min_confidence).unwrap_or(default.min_confidence),
         no_val: args.no_val || settings.no_val.unwrap_or(default.no_val),
         regions,
-    })
-}
-
-fn read_regions(path: &Path) -> Result<RegionTable, Failure> {
-    let text = std::fs::read_to_string(path).map_err(|e| FormatError::io(path, "read", &e))?;
-    toml::from_str(&text).map_err(|e| {
-        let line = e.span().map_or(1, |s| text.bytes().take(s.start).filter(|&b| b == b'\n').count() + 1);
-        let error = FormatError::syntax(e.message().trim().replace('\n', ", ")).at_line(line as u64).in_file(path);
-        error.with_hint("write `[[regions]]`, `name = \"brow\"`, `units = [\"AU01\", \"AU02\"]` for each of brow, eye and mouth").into()
     })
 }
 

@@ -24,7 +24,8 @@ pub(super) struct StatsArgs {
 
 /// Open a dataset as a stranger would and list every problem.
 ///
-/// Plain Nerfies, HyperNeRF and CoNeRF folders can be checked, too. Exit status 1 if there is any problem.
+/// Plain Nerfies, HyperNeRF and CoNeRF folders can be checked, too. Exit status 1 if there is any problem; with --json
+/// the document lists them as `problems`, each with `path` and `message`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  dataset verify datasets/ada")]
 pub(super) struct VerifyArgs {
@@ -72,17 +73,20 @@ pub(super) fn stats(args: &StatsArgs, console: &Console) -> Result<(), Failure> 
 }
 
 fn read_report(dataset: &Path, path: &Path) -> Result<Report, FormatError> {
-    if !dataset.is_dir() {
-        let message = if dataset.exists() { "is not a folder" } else { "does not exist" };
-        return Err(FormatError::new(ErrorKind::Missing, message)
-            .in_file(dataset)
-            .with_hint("name the folder of a dataset"));
-    }
+    check_folder(dataset)?;
     let bytes = std::fs::read(path).map_err(|e| {
         FormatError::io(path, "read", &e)
             .with_hint("only datasets made by `dataset build` have these numbers; try `dataset verify`")
     })?;
     serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(path))
+}
+
+fn check_folder(dataset: &Path) -> Result<(), FormatError> {
+    if dataset.is_dir() {
+        return Ok(());
+    }
+    let message = if dataset.exists() { "is not a folder" } else { "does not exist" };
+    Err(FormatError::new(ErrorKind::Missing, message).in_file(dataset).with_hint("name the folder of a dataset"))
 }
 
 fn table(report: &Report) -> String {
@@ -134,6 +138,7 @@ fn table(report: &Report) -> String {
 }
 
 pub(super) fn verify(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
+    check_folder(&args.dataset)?;
     let verdict = verify::verify(&args.dataset, console);
     let mut text = String::new();
     for problem in &verdict.problems {
@@ -152,15 +157,10 @@ pub(super) fn verify(args: &VerifyArgs, console: &Console) -> Result<(), Failure
         console.finish(&verdict, &text);
         return Ok(());
     }
+    console.finish(&verdict, text.trim_end());
     let count = verdict.problems.len();
     let message = format!("{}: {count} problem{}", args.dataset.display(), if count == 1 { "" } else { "s" });
-    if console.is_json() {
-        // stdout is one document, and of a failure it is the error's: it holds the whole list, a line per problem.
-        return Err(Failure::input(format!("{message}\n{}", text.trim_end())));
-    }
-    console.finish(&verdict, text.trim_end());
-    let first = &verdict.problems[0];
-    Err(Failure::input(message).with_hint(format!("the first is {}: {}", first.path.display(), first.message)))
+    Err(Failure::input(message).with_hint("put back what is missing or damaged, or build the dataset again"))
 }
 
 pub(super) fn export(args: &ExportArgs, console: &Console) -> Result<(), Failure> {

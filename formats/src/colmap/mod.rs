@@ -98,6 +98,9 @@ impl Model {
                     "image {id} (`{}`) has camera `{}`, which the model does not hold",
                     image.name, image.camera_id
                 ),
+            )
+            .with_hint(
+                "cameras and images are of different models, or one of the files is cut off; export the model again",
             )),
             None => Ok(()),
         }
@@ -105,7 +108,9 @@ impl Model {
 }
 
 fn parse_file<T>(path: &Path, parse: impl FnOnce(&[u8]) -> Result<T>) -> Result<T> {
-    let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, "read", &e))?;
+    let bytes = std::fs::read(path).map_err(|e| {
+        FormatError::io(path, "read", &e).with_hint("a model is three files of one kind: cameras, images and points3D")
+    })?;
     parse(&bytes).map_err(|e| e.in_file(path))
 }
 
@@ -188,5 +193,4 @@ fn insert_new<K: Ord + Copy + std::fmt::Display, V>(
 }
 
 #[cfg(test)]
-#[path = "tests.rs"]
 mod tests;

@@ -1,22 +1,15 @@
 use std::path::PathBuf;
 
+use binary::{binary_parts, parse_part};
 use proptest::prelude::*;
+use risorius_tests::shared;
 
 use super::*;
 use crate::camera::Distortion;
 use crate::{Hint, Intrinsics};
 
-/// A folder of the development data, or `None` with a loud word when it is not there.
-fn shared(path: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("RISORIUS_SHARED")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-    let dir = root.join(path);
-    if !dir.exists() {
-        eprintln!("SKIPPED: {} not found", dir.display());
-        return None;
-    }
-    Some(dir)
-}
+mod binary;
+mod text;
 
 fn small_model() -> Model {
     let camera = |model: &str, params: &[f64]| ModelCamera {
@@ -115,68 +108,6 @@ fn assert_same(a: &Model, b: &Model) -> Result<(), TestCaseError> {
 }
 
 #[test]
-fn text_tolerates_what_real_files_show() {
-    let cameras = "# c\r\n\r\n3 SIMPLE_RADIAL 640 480 500 320 240 -0.1\r\n4 TOMORROWS_MODEL 640 480 1 2 3\r\n";
-    let cameras = parse_cameras_text(cameras.as_bytes()).unwrap();
-    assert_eq!(cameras[&3].params, [500.0, 320.0, 240.0, -0.1]);
-    assert_eq!(cameras[&4].intrinsics().unwrap_err().kind(), ErrorKind::Unsupported);
-    let images = "\n# two lines each\r\n1 1 0 0 0 1 2 3 3 my face 01.png\r\n\r\n2 2 0 0 0 0 0 0 3 b.png\r\n1 2 -1 3.5 4 18446744073709551615 5 6 8\r\n\r\n# end\r\n7 1 0 0 0 0 0 0 3 last.png";
-    let images = parse_images_text(images.as_bytes()).unwrap();
-    assert_eq!(images.keys().copied().collect::<Vec<_>>(), [1, 2, 7]);
-    assert_eq!(images[&1].name, "my face 01.png");
-    assert_eq!(images[&2].camera_from_world.rotation, glam::DMat3::IDENTITY);
-    assert_eq!(images[&2].points.iter().map(|p| p.point3d).collect::<Vec<_>>(), [None, None, Some(8)]);
-    assert!(images[&1].points.is_empty() && images[&7].points.is_empty());
-    let points = parse_points_text(b"5 1 2 3 4 5 6 nan\n6 1e-3 -2 3 255 0 0 0.5 1 2 3 4 5 6").unwrap();
-    assert!(points[&5].error_px.is_nan() && points[&5].track.is_empty());
-    assert_eq!(points[&6].track, [(1, 2), (3, 4), (5, 6)]);
-}
-
-#[test]
-fn text_errors_say_where() {
-    let cases: [(Result<()>, u64, &str); 9] = [
-        (
-            parse_cameras_text(b"#\n1 PINHOLE 640 x 1 2 3 4").map(drop),
-            2,
-            "column `HEIGHT`: expected a whole number, found `x`",
-        ),
-        (
-            parse_cameras_text(b"1 PINHOLE 640 480 1 2 3").map(drop),
-            1,
-            "camera model `PINHOLE` has 4 parameters, found 3",
-        ),
-        (
-            parse_cameras_text(b"1 PINHOLE 6 4 1 2 3 4\n1 PINHOLE 6 4 1 2 3 4").map(drop),
-            2,
-            "camera `1` stands there twice",
-        ),
-        (
-            parse_cameras_text(b"1 PINHOLE 6 4 1 2 inf 4").map(drop),
-            1,
-            "column `PARAMS`: expected a finite number, found `inf`",
-        ),
-        (
-            parse_images_text(b"1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 0 0 0 1").map(drop),
-            3,
-            "the line ends where NAME should stand",
-        ),
-        (parse_images_text(b"1 0 0 0 0 0 0 0 1 a.png").map(drop), 1, "rotation `[0.0, 0.0, 0.0, 0.0]`"),
-        (
-            parse_images_text(b"1 1 0 0 0 0 0 0 1 a.png\n2 1 0 0 0 0 0 0 1 b.png").map(drop),
-            2,
-            "column `X`: expected a number, found `b.png`",
-        ),
-        (parse_points_text(b"\n\n1 1 2 3 4 5 256 1").map(drop), 3, "column `B`: expected a whole number, found `256`"),
-        (parse_points_text(b"1 1 2 3 4 5 6 1 7").map(drop), 1, "the line ends where POINT2D_IDX should stand"),
-    ];
-    for (result, line, message) in cases {
-        let error = result.unwrap_err();
-        assert_eq!(error.line(), Some(line), "{error}");
-        assert!(error.to_string().contains(message), "{error}");
-    }
-}
-
-#[test]
 fn intrinsics_follow_the_model() {
     let camera = |model: &str, params: &[f64]| ModelCamera {
         model: model.to_owned(),
@@ -232,75 +163,6 @@ fn the_simplest_model_is_chosen() {
     assert_eq!(with(5.0, [0.0; 3], 0.0, 0.1), "OPENCV");
     assert_eq!(with(5.0, [0.0, 0.0, 0.1], 0.0, 0.0), "FULL_OPENCV");
     assert_eq!(with(5.0, [0.0; 3], 0.1, 0.0), "FULL_OPENCV");
-}
-
-fn binary_parts(model: &Model) -> [Vec<u8>; 3] {
-    [
-        cameras_to_binary(&model.cameras).unwrap(),
-        images_to_binary(&model.images).unwrap(),
-        points_to_binary(&model.points),
-    ]
-}
-
-fn parse_part(part: usize, bytes: &[u8]) -> Result<()> {
-    match part {
-        0 => parse_cameras_binary(bytes).map(drop),
-        1 => parse_images_binary(bytes).map(drop),
-        _ => parse_points_binary(bytes).map(drop),
-    }
-}
-
-#[test]
-fn binary_files_cut_off_anywhere_are_errors() {
-    for (part, bytes) in binary_parts(&small_model()).iter().enumerate() {
-        parse_part(part, bytes).unwrap();
-        for length in 0..bytes.len() {
-            let error = parse_part(part, &bytes[..length]).unwrap_err();
-            assert!(error.to_string().starts_with("byte "), "{error}");
-        }
-        let mut long = bytes.clone();
-        long.push(0);
-        assert!(parse_part(part, &long).unwrap_err().to_string().contains("1 bytes follow the last record"));
-    }
-}
-
-#[test]
-fn hostile_counts_are_refused_before_they_cost_memory() {
-    for (part, bytes) in binary_parts(&small_model()).into_iter().enumerate() {
-        for count in [u64::MAX, u64::MAX / 24, 1 << 40, 1 << 32, 1000] {
-            let mut hostile = bytes.clone();
-            hostile[..8].copy_from_slice(&count.to_le_bytes());
-            let error = parse_part(part, &hostile).unwrap_err();
-            assert_eq!(error.kind(), ErrorKind::Limits, "{error}");
-            assert!(error.to_string().starts_with(&format!("byte 0: `{count}` ")), "{error}");
-        }
-    }
-    // The same for the counts within a record: the last eight bytes of an image and of a point without any.
-    let mut model = small_model();
-    model.images.get_mut(&12).unwrap().points.clear();
-    let [_, images, points] = binary_parts(&model);
-    for (part, mut bytes) in [(1, images), (2, points)] {
-        let end = bytes.len();
-        bytes[end - 8..].copy_from_slice(&u64::MAX.to_le_bytes());
-        let error = parse_part(part, &bytes).unwrap_err();
-        assert_eq!(error.kind(), ErrorKind::Limits);
-        assert!(error.to_string().starts_with(&format!("byte {}: ", end - 8)), "{error}");
-    }
-}
-
-#[test]
-fn binary_errors_say_where() {
-    let [mut cameras, mut images, _] = binary_parts(&small_model());
-    cameras[12..16].copy_from_slice(&99i32.to_le_bytes());
-    let error = parse_cameras_binary(&cameras).unwrap_err();
-    assert_eq!(
-        (error.kind(), error.to_string()),
-        (ErrorKind::Unsupported, "byte 12: `99` is no known camera model".to_owned())
-    );
-    images[12..20].copy_from_slice(&f64::NAN.to_le_bytes());
-    assert!(parse_images_binary(&images).unwrap_err().to_string().starts_with("byte 12: expected a finite number"));
-    images[12..44].fill(0);
-    assert!(parse_images_binary(&images).unwrap_err().to_string().starts_with("byte 12: rotation"));
 }
 
 #[test]

@@ -8,6 +8,7 @@ use glam::DVec3;
 
 use super::camera_model::{CameraModel, wrong_param_count};
 use super::{ModelCamera, ModelImage, Point2d, Point3d, insert_new, pose};
+use crate::error::shown;
 use crate::{ErrorKind, FormatError, Result};
 
 /// The lines with their 1-based numbers, without line ends.
@@ -20,13 +21,15 @@ fn is_data(line: &[u8]) -> bool {
     !line.is_empty() && line[0] != b'#'
 }
 
+fn not_text(column: &str) -> FormatError {
+    FormatError::syntax("is not text")
+        .in_column(column)
+        .with_hint("the file is damaged or of another kind; export the model again, as text")
+}
+
 /// The fields of one line, taken from left to right.
 struct Fields<'a> {
     rest: &'a [u8],
-}
-
-fn shown(field: &[u8]) -> String {
-    String::from_utf8_lossy(&field[..field.len().min(60)]).into_owned()
 }
 
 impl<'a> Fields<'a> {
@@ -49,21 +52,20 @@ impl<'a> Fields<'a> {
             FormatError::syntax(format!("the line ends where {name} should stand"))
                 .with_hint("the file may be cut off; export the model again")
         })?;
-        std::str::from_utf8(field)
-            .map_err(|_| FormatError::syntax(format!("`{}` is not UTF-8 text", shown(field))).in_column(name))
+        std::str::from_utf8(field).map_err(|_| not_text(name))
     }
 
     fn integer<T: FromStr>(&mut self, name: &str) -> Result<T> {
         let word = self.word(name)?;
         word.parse().map_err(|_| {
-            FormatError::syntax(format!("expected a whole number, found `{}`", shown(word.as_bytes()))).in_column(name)
+            FormatError::syntax(format!("expected a whole number, found {}", shown(word.as_bytes()))).in_column(name)
         })
     }
 
     fn any_number(&mut self, name: &str) -> Result<f64> {
         let word = self.word(name)?;
         fast_float2::parse(word).map_err(|_| {
-            FormatError::syntax(format!("expected a number, found `{}`", shown(word.as_bytes()))).in_column(name)
+            FormatError::syntax(format!("expected a number, found {}", shown(word.as_bytes()))).in_column(name)
         })
     }
 
@@ -137,8 +139,7 @@ fn image_line(line: &[u8]) -> Result<(u32, ModelImage)> {
     let translation = fields.numbers(["TX", "TY", "TZ"])?;
     let camera_id = fields.integer("CAMERA_ID")?;
     // A name may hold spaces: it is all that is left of the line.
-    let name = std::str::from_utf8(fields.rest)
-        .map_err(|_| FormatError::syntax(format!("`{}` is not UTF-8 text", shown(fields.rest))).in_column("NAME"))?;
+    let name = std::str::from_utf8(fields.rest).map_err(|_| not_text("NAME"))?;
     if name.is_empty() {
         return Err(FormatError::syntax("the line ends where NAME should stand"));
     }
@@ -171,7 +172,7 @@ fn features(line: &[u8]) -> Result<Vec<Point2d>> {
             ("-1", _) | (_, Ok(u64::MAX)) => None,
             (_, Ok(id)) => Some(id),
             (_, Err(_)) => {
-                let message = format!("expected a point id or `-1`, found `{}`", shown(word.as_bytes()));
+                let message = format!("expected a point id or `-1`, found {}", shown(word.as_bytes()));
                 return Err(FormatError::syntax(message).in_column("POINT3D_ID"));
             }
         };

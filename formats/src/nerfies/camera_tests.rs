@@ -35,13 +35,7 @@ fn the_older_spelling_gives_the_known_rays() {
 
 #[test]
 fn a_camera_of_the_family_gives_the_known_rays_and_keeps_its_bits() {
-    let shared = std::env::var_os("RISORIUS_SHARED")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), Into::into);
-    let path = shared.join("data/colmap/nerfies_camera.json");
-    if !path.exists() {
-        eprintln!("SKIPPED: {} not found", path.display());
-        return;
-    }
+    let Some(path) = risorius_tests::shared("data/colmap/nerfies_camera.json") else { return };
     let camera = read_camera(&path).unwrap();
     check_rays(&camera, 2e-8);
     // Writing rounds to 32-bit floats; from then on nothing changes any more.

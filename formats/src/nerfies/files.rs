@@ -37,6 +37,9 @@ struct SceneFile {
 /// The longest name that every file system takes, less the suffixes that are put behind it.
 const MAX_ID_BYTES: usize = 200;
 
+/// What to do about a dataset whose own files do not hold what `dataset build` wrote.
+const DAMAGED: &str = "the dataset is damaged; build it again with `dataset build`";
+
 /// Fails unless `id` can be the name of a file in the folder and nothing else: ids come from a file that somebody
 /// else wrote, and `../x` must not lead out of the folder.
 pub fn check_id(id: &str) -> Result<()> {
@@ -55,6 +58,11 @@ pub fn check_id(id: &str) -> Result<()> {
 fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
     let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, "read", &e))?;
     serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(path))
+}
+
+/// A file that every dataset has, beside the one that makes it a dataset.
+fn read_part<T: DeserializeOwned>(path: &Path) -> Result<T> {
+    read_json(path).map_err(|e| e.with_hint(DAMAGED))
 }
 
 /// The bytes of a file that may be absent.
@@ -87,7 +95,7 @@ pub(super) fn read(dir: &Path) -> Result<Dataset> {
     check_ids(&file).map_err(|e| e.in_file(&path))?;
 
     let path = dir.join("metadata.json");
-    let mut all: BTreeMap<String, FrameMetadata> = read_json(&path)?;
+    let mut all: BTreeMap<String, FrameMetadata> = read_part(&path)?;
     let mut metadata = BTreeMap::new();
     for id in &file.ids {
         let entry = all.remove(id).ok_or_else(|| inconsistent(&path, format!("has nothing about `{id}`")))?;
@@ -95,7 +103,7 @@ pub(super) fn read(dir: &Path) -> Result<Dataset> {
     }
 
     let path = dir.join("scene.json");
-    let raw: SceneFile = read_json(&path)?;
+    let raw: SceneFile = read_part(&path)?;
     let scene =
         SceneBounds { center_in_world: DVec3::from(raw.center), scale: raw.scale, near: raw.near, far: raw.far };
     if !scene.is_valid() {
@@ -113,6 +121,14 @@ pub(super) fn read(dir: &Path) -> Result<Dataset> {
     let mapping = yaml::parse_mapping(&read_optional(&path)?).map_err(|e| e.in_file(&path))?;
     let path = dir.join("annotations.yml");
     let annotations = yaml::parse_annotations(&read_optional(&path)?, mapping.len()).map_err(|e| e.in_file(&path))?;
+
+    if file.risorius.is_some() && (mapping.is_empty() || annotations.is_empty()) {
+        // Plain folders of the family may go without; in ours every frame would be taken for neutral.
+        let name = if mapping.is_empty() { "mapping.yml" } else { "annotations.yml" };
+        return Err(FormatError::new(ErrorKind::Missing, "is missing or empty")
+            .in_file(dir.join(name))
+            .with_hint(DAMAGED));
+    }
 
     let DatasetFile { ids, train_ids, val_ids, risorius: extras, .. } = file;
     Ok(Dataset { ids, train_ids, val_ids, metadata, scene, cameras, mapping, annotations, extras })

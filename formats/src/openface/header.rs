@@ -38,6 +38,9 @@ pub(super) fn cell(raw: &[u8]) -> &[u8] {
 impl Columns {
     pub(super) fn parse<'a>(header: impl Iterator<Item = &'a [u8]>) -> Result<Self> {
         let names: Vec<String> = header.map(|raw| String::from_utf8_lossy(cell(raw)).into_owned()).collect();
+        if names.iter().flat_map(|n| n.chars()).any(|c| c.is_control() && c != '\t') {
+            return Err(FormatError::syntax("is not a text table").with_hint(EXPECTED));
+        }
         let mut places: HashMap<&str, usize> = HashMap::with_capacity(names.len());
         for (i, name) in names.iter().enumerate().filter(|(_, name)| !name.is_empty()) {
             if let Some(first) = places.insert(name, i) {
@@ -100,14 +103,25 @@ impl Columns {
     }
 }
 
+/// Which table is wanted, for hints.
+pub(super) const EXPECTED: &str = "the table should be one that OpenFace's FeatureExtraction wrote, with its header";
+
 fn missing(name: &str, names: &[String]) -> FormatError {
     let error = FormatError::new(ErrorKind::Missing, format!("there is no column `{name}`"));
-    let near = names.iter().filter(|n| !n.is_empty()).min_by_key(|n| distance(name, n));
+    if let [only] = names
+        && let Some(separator) = [';', '\t'].into_iter().find(|&c| only.contains(c))
+    {
+        let separator = if separator == ';' { "semicolons" } else { "tabs" };
+        return error.with_hint(format!("the columns are separated by {separator}; save the table with commas"));
+    }
+    // A name is worth showing when it is clean and at least half of its letters agree.
+    let clean = |n: &&String| (1..40).contains(&n.len()) && n.bytes().all(|b| b.is_ascii_graphic() || b == b' ');
+    let near = names.iter().filter(clean).map(|n| (distance(name, n), n)).min();
     match near {
-        Some(near) if near.len() < 60 => error.with_hint(format!(
-            "the nearest name is `{near}`; the table should be one that OpenFace's FeatureExtraction wrote"
-        )),
-        _ => error.with_hint("the table should be one that OpenFace's FeatureExtraction wrote, with its header"),
+        Some((distance, near)) if distance <= name.len() => {
+            error.with_hint(format!("the nearest name is `{near}`; {EXPECTED}"))
+        }
+        _ => error.with_hint(EXPECTED),
     }
 }
 

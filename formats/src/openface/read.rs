@@ -3,14 +3,21 @@
 use glam::DVec3;
 
 use super::faces::{self, Candidate};
-use super::header::{Columns, cell};
+use super::header::{self, Columns, cell};
 use super::{FaceChoice, ReadOptions};
 use crate::au::MAX_INTENSITY;
+use crate::error::shown;
 use crate::track::HeadPose;
 use crate::{ActionUnit, ErrorKind, FormatError, FrameIndex, Landmarks68, Reporter, Result, Track, TrackRow, Warning};
 
 /// OpenFace counts frames from 1.
 const DEFAULT_FIRST_FRAME: u32 = 1;
+
+/// What to do about a row that cannot be used.
+const BAD_ROW: &str = "correct or remove this row, or run OpenFace's FeatureExtraction again";
+
+/// How many bytes are looked at for signs of a file that is no text.
+const SNIFFED: usize = 4096;
 
 /// What went wrong and was recovered; told once per sort, with a count and the first line.
 #[derive(Clone, Default)]
@@ -64,6 +71,14 @@ pub(super) fn parse(bytes: &[u8], options: &ReadOptions, reporter: &dyn Reporter
         return Err(FormatError::new(ErrorKind::Empty, "the table is empty")
             .with_hint("run OpenFace's FeatureExtraction again"));
     }
+    let no_text = |at: usize| FormatError::syntax("is not a text table").at_line(line_at(bytes, at));
+    if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
+        return Err(no_text(0).with_hint("it is saved as UTF-16; save it as UTF-8"));
+    }
+    // No text holds a zero byte, and nearly every other file does.
+    if let Some(at) = bytes.iter().take(SNIFFED).position(|&b| b == 0) {
+        return Err(no_text(at).with_hint(header::EXPECTED));
+    }
     // Quotes are stripped per cell: a stray one must not swallow the lines after it.
     let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).quoting(false).from_reader(bytes);
     let mut record = csv::ByteRecord::new();
@@ -87,7 +102,7 @@ pub(super) fn parse(bytes: &[u8], options: &ReadOptions, reporter: &dyn Reporter
                 let message = format!("line {line}: the last row is cut off and left out; was the run killed? ({e})");
                 reporter.warn(Warning::new("truncated-row", message));
             }
-            Err(e) => return Err(e.at_line(line_at(bytes, start_of(&record)))),
+            Err(e) => return Err(e.at_line(line_at(bytes, start_of(&record))).or_hint(BAD_ROW)),
         }
         std::mem::swap(&mut record, &mut next);
     }
@@ -126,9 +141,8 @@ fn number(raw: &[u8]) -> Result<Option<f64>, ()> {
 
 impl Parser<'_> {
     fn bad_cell(&self, column: usize, raw: &[u8], expected: &str) -> FormatError {
-        let raw = cell(raw);
-        let shown = String::from_utf8_lossy(&raw[..raw.len().min(40)]).into_owned();
-        FormatError::syntax(format!("expected {expected}, found `{shown}`")).in_column(self.columns.name(column))
+        let found = shown(cell(raw));
+        FormatError::syntax(format!("expected {expected}, found {found}")).in_column(self.columns.name(column))
     }
 
     fn number(&self, record: &csv::ByteRecord, column: usize, expected: &str) -> Result<Option<f64>> {

@@ -1,25 +1,13 @@
 use std::fmt::Write as _;
-use std::path::PathBuf;
 
 use glam::DVec3;
 use proptest::prelude::*;
+use risorius_tests::shared;
 
 use super::*;
 use crate::report::Collected;
 use crate::track::HeadPose;
 use crate::{ActionUnit, ErrorKind, FormatError, FrameIndex, Hint, Landmarks68, Silent, TrackRow};
-
-/// A file of the development data, or `None` with a loud word when it is not there.
-fn shared(path: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("RISORIUS_SHARED")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-    let file = root.join(path);
-    if !file.exists() {
-        eprintln!("SKIPPED: {} not found", file.display());
-        return None;
-    }
-    Some(file)
-}
 
 fn read_shared(path: &str) -> Option<(Track, Collected)> {
     let file = shared(path)?;
@@ -326,9 +314,31 @@ fn headers_are_checked() {
     let text = faces_table(&[(1, 0, true, 50.0, 10.0)]).replace(" x_7,", " X_7,");
     let error = failure(&text);
     assert!(error.to_string().contains("`x_7`") && error.hint().unwrap().contains("`X_7`"), "{error}");
+    let error = failure("frame;confidence;success;AU01_r\n1;1;1;1\n");
+    assert!(error.hint().unwrap().contains("semicolons"), "{error}");
     for text in ["", " \n\r\n", "frame,confidence,success,AU01_r\n", "frame,confidence,success,AU01_r"] {
         assert_eq!(failure(text).kind(), ErrorKind::Empty, "{text:?}");
     }
+}
+
+#[test]
+fn what_is_no_table_is_called_so_in_clean_words() {
+    let utf16: Vec<u8> = "\u{feff}frame,confidence".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    for bytes in [&b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"[..], b"\x7fELF\x02\x01\n1,2\n", &utf16, &[0; 9000]] {
+        let error = parse(bytes, &ReadOptions::default(), &Silent).unwrap_err();
+        assert!(error.to_string().contains("is not a text table"), "{error}");
+    }
+    let mut damaged = b"frame,confidence,success,AU01_r\n1,".to_vec();
+    damaged.extend(b"\xff\x07\x80,1,1\n2,1,1,1\n");
+    let error = parse(&damaged, &ReadOptions::default(), &Silent).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "line 2: column `confidence`: expected a number from 0 to 1, found bytes that are not text"
+    );
+    assert!(error.hint().is_some());
+    // A name of another kind of file is not offered.
+    let error = failure("ts,bid,ask\n1,1,1\n");
+    assert!(!error.hint().unwrap().contains("nearest"), "{error}");
 }
 
 fn arbitrary_row(frame: u32, numbers: &[i32], success: bool, full: bool) -> TrackRow {

@@ -27,6 +27,8 @@ pub struct Console {
     progress: Progress,
     warnings: Mutex<BTreeMap<&'static str, u64>>,
     stdout_failure: Mutex<Option<Failure>>,
+    /// Whether the result is on stdout: there is only one document.
+    finished: AtomicBool,
 }
 
 impl Console {
@@ -42,6 +44,7 @@ impl Console {
             progress: Progress::new(hidden, terminal),
             warnings: Mutex::default(),
             stdout_failure: Mutex::default(),
+            finished: AtomicBool::new(false),
         }
     }
 
@@ -51,6 +54,8 @@ impl Console {
     }
 
     /// Writes the result to stdout: `document` as JSON with `--json`, else `human` with a final line break.
+    ///
+    /// A command may still fail after it, as one does that lists problems: then this is the document, and none is added.
     pub fn finish<T: Serialize>(&self, document: &T, human: &str) {
         self.progress.end();
         let text = if self.json {
@@ -63,6 +68,7 @@ impl Console {
         };
         if !text.is_empty() {
             self.write_stdout(&text);
+            self.finished.store(true, Ordering::Relaxed);
         }
     }
 
@@ -80,11 +86,11 @@ impl Console {
         }
     }
 
-    /// Prints the failure and its hint; with `--json` also as a document on stdout.
+    /// Prints the failure and its hint; with `--json` also as a document on stdout, unless one stands there.
     pub(crate) fn fail(&self, failure: &Failure) {
         self.progress.end();
         print_failure(failure, self.colour);
-        if self.json {
+        if self.json && !self.finished.load(Ordering::Relaxed) {
             self.write_stdout(&format!("{:#}", failure.to_json()));
         }
     }

@@ -38,6 +38,23 @@ pub(crate) struct Progress {
     stage: Mutex<Option<Stage>>,
 }
 
+impl Stage {
+    /// Begins now, without a bar.
+    fn new(name: &str, total: Option<u64>) -> Self {
+        let now = Instant::now();
+        Self {
+            name: name.to_owned(),
+            total,
+            done: 0,
+            printed: 0,
+            begun: now,
+            last_line: now,
+            note: String::new(),
+            bar: None,
+        }
+    }
+}
+
 impl Progress {
     pub(crate) fn new(hidden: bool, terminal: bool) -> Self {
         let mode = match (hidden, terminal) {
@@ -52,18 +69,8 @@ impl Progress {
     pub(crate) fn begin(&self, name: &str, total: Option<u64>) {
         let mut slot = self.lock();
         end(&mut slot);
-        let now = Instant::now();
         let bar = (self.mode == Mode::Bar).then(|| new_bar(name, total));
-        *slot = Some(Stage {
-            name: name.to_owned(),
-            total,
-            done: 0,
-            printed: 0,
-            begun: now,
-            last_line: now,
-            note: String::new(),
-            bar,
-        });
+        *slot = Some(Stage { bar, ..Stage::new(name, total) });
     }
 
     pub(crate) fn advance(&self, steps: u64) {
@@ -180,23 +187,9 @@ fn seconds(secs: f64) -> String {
 mod tests {
     use super::*;
 
-    fn stage(total: Option<u64>) -> Stage {
-        let now = Instant::now();
-        Stage {
-            name: "reading".into(),
-            total,
-            done: 0,
-            printed: 0,
-            begun: now,
-            last_line: now,
-            note: String::new(),
-            bar: None,
-        }
-    }
-
     #[test]
     fn a_line_stands_for_five_percent() {
-        let mut s = stage(Some(1000));
+        let mut s = Stage::new("reading", Some(1000));
         let mut lines = Vec::new();
         for i in 1..=1000 {
             s.done = i;
@@ -209,7 +202,7 @@ mod tests {
 
     #[test]
     fn a_stage_of_unknown_length_speaks_every_ten_seconds() {
-        let mut s = stage(None);
+        let mut s = Stage::new("reading", None);
         let lines: Vec<_> = (1..=35)
             .filter_map(|i| {
                 s.done = i;
@@ -221,7 +214,7 @@ mod tests {
 
     #[test]
     fn more_steps_than_announced_do_no_harm() {
-        let mut s = stage(Some(2));
+        let mut s = Stage::new("reading", Some(2));
         s.done = 5;
         assert_eq!(s.next_line(s.begun + Duration::from_secs(1)).unwrap(), "reading: 100 % (5 of 2, 1 s)");
         assert!(s.next_line(s.begun).is_none());

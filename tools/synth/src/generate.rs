@@ -48,6 +48,9 @@ pub struct Summary {
     pub points: usize,
 }
 
+/// What shows a folder to be a capture of ours.
+const MANIFEST_FILE: &str = "manifest.json";
+
 /// `manifest.json`.
 #[derive(Serialize)]
 struct Manifest<'a> {
@@ -77,6 +80,7 @@ struct NoiseNote {
 /// Makes the capture in `out`, whole or not at all.
 pub fn generate(settings: &Settings, out: impl AsRef<Path>, reporter: &dyn Reporter) -> Result<Summary, SynthError> {
     settings.validate()?;
+    atomic::check_replaceable(&out, "a capture of this program", &[MANIFEST_FILE])?;
     let folder = AtomicDir::create(&out)?;
     let dir = folder.path();
     reporter.stage("build the scene", None);
@@ -292,7 +296,7 @@ fn write_manifest(
     summary: &Summary,
     dir: &Path,
 ) -> Result<(), SynthError> {
-    let path = dir.join("manifest.json");
+    let path = dir.join(MANIFEST_FILE);
     let manifest = Manifest {
         what: "a capture with known answers: an analytic head in a room, rendered by Risorius itself",
         written_by: format!("synth {}", env!("CARGO_PKG_VERSION")),

@@ -91,17 +91,12 @@ fn times_are_those_of_ffprobe() {
 
 #[test]
 fn real_files_have_the_times_of_ffprobe() {
-    let shared = std::env::var_os("RISORIUS_SHARED")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), PathBuf::from);
-    let folder = shared.join("data/video");
-    let Ok(entries) = std::fs::read_dir(&folder) else {
-        eprintln!("SKIPPED: {} not found", folder.display());
-        return;
-    };
+    let Some(folder) = risorius_tests::shared("data/video") else { return };
     if !has_ffmpeg() {
         return;
     }
-    let mut files: Vec<PathBuf> = entries
+    let mut files: Vec<PathBuf> = std::fs::read_dir(&folder)
+        .unwrap()
         .map(|e| e.unwrap().path())
         .filter(|p| p.extension().is_some_and(|e| e == "mp4" || e == "mov"))
         .collect();

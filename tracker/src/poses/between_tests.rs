@@ -1,7 +1,7 @@
 use super::*;
 use crate::poses::model::PlacedFrame;
 use crate::se3::Twist;
-use risorius_formats::{FrameIndex, Intrinsics, Landmarks68};
+use risorius_formats::{FrameIndex, Intrinsics};
 
 fn lens() -> Intrinsics {
     Intrinsics::pinhole(540, 960, 1150.0)
@@ -35,18 +35,7 @@ fn row(i: u32) -> TrackRow {
         let at = (u64::from(i) * 68 + k as u64) * 2;
         [(p.x + 1.7 * uniform(at)) as f32, (p.y + open + 1.7 * uniform(at + 1)) as f32]
     });
-    TrackRow {
-        frame: FrameIndex(i),
-        face_id: 0,
-        timestamp_secs: None,
-        confidence: 1.0,
-        success: true,
-        intensities: vec![],
-        presences: vec![],
-        landmarks: Some(Box::new(Landmarks68 { points_px })),
-        landmarks_in_camera_mm: None,
-        head_pose: None,
-    }
+    crate::testing::row(i, &points_px)
 }
 
 /// Mean shift of the face in the picture.

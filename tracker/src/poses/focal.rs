@@ -66,7 +66,6 @@ fn residual(c: &TableCamera, s: &[f64; 4]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use risorius_formats::{FrameIndex, Landmarks68};
 
     fn row(wild: bool) -> TrackRow {
         let solid: [[f32; 3]; 68] = std::array::from_fn(|i| {
@@ -77,18 +76,7 @@ mod tests {
             let off = if wild { 60.0 } else { 0.0 };
             [900.0 * x / z + 320.0 + off, 900.0 * y / z + 240.0 - off]
         });
-        TrackRow {
-            frame: FrameIndex(0),
-            face_id: 0,
-            timestamp_secs: None,
-            confidence: 1.0,
-            success: true,
-            intensities: vec![],
-            presences: vec![],
-            landmarks: Some(Box::new(Landmarks68 { points_px: flat })),
-            landmarks_in_camera_mm: Some(Box::new(solid)),
-            head_pose: None,
-        }
+        TrackRow { landmarks_in_camera_mm: Some(Box::new(solid)), ..crate::testing::row(0, &flat) }
     }
 
     #[test]

@@ -2,9 +2,9 @@ use super::*;
 use crate::se3::{rotation_angle, rotation_exp};
 use crate::testing;
 use glam::DMat3;
+use risorius_formats::polygon::{hull_contains, projected_hull};
 use risorius_formats::report::Collected;
 use risorius_formats::track::HeadPose;
-use risorius_formats::{FrameIndex, Landmarks68};
 
 const FOCAL: f64 = 700.0;
 
@@ -53,18 +53,7 @@ fn row(i: u32) -> TrackRow {
     let off = rotation_exp(DVec3::new(0.05 * f64::from(i).sin(), 0.07 * (f64::from(i) * 0.7).cos(), 0.02));
     let pose =
         Isometry::new(truth(i).rotation * off, (truth(i).translation * 1.02 + DVec3::new(0.002, -0.003, 0.0)) * 1e3);
-    TrackRow {
-        frame: FrameIndex(i),
-        face_id: 0,
-        timestamp_secs: None,
-        confidence: 1.0,
-        success: true,
-        intensities: vec![],
-        presences: vec![],
-        landmarks: Some(Box::new(Landmarks68 { points_px })),
-        landmarks_in_camera_mm: None,
-        head_pose: Some(HeadPose::from_isometry(&pose)),
-    }
+    TrackRow { head_pose: Some(HeadPose::from_isometry(&pose)), ..testing::row(i, &points_px) }
 }
 
 fn options(refine: bool) -> HeadOptions {
@@ -92,11 +81,10 @@ fn refined_poses_are_much_closer_to_the_truth_than_the_tables() {
     let lens = after.model.lenses[&1];
     for i in (0..240).step_by(5) {
         let camera = Camera { intrinsics: lens, camera_from_world: after.model.frames[&i].camera_from_world };
-        let outline =
-            crate::poses::mask::convex_hull(&after.hull.iter().map(|p| camera.project(*p)).collect::<Vec<_>>());
+        let outline = projected_hull(&after.hull, &camera);
         let points = track.rows[i as usize].landmarks.as_ref().unwrap();
         for p in &points.points_px {
-            assert!(crate::poses::mask::contains(&outline, DVec2::new(p[0].into(), p[1].into())), "frame {i}");
+            assert!(hull_contains(&outline, DVec2::new(p[0].into(), p[1].into())), "frame {i}");
         }
     }
     // Rotations stay rotations.

@@ -56,8 +56,8 @@ pub fn head_hull(landmarks: &[DVec3], chin_drop: f64) -> Vec<DVec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::poses::mask::{contains, convex_hull};
     use glam::DVec2;
+    use risorius_formats::polygon::{convex_hull, hull_contains};
 
     /// A rough face, metres.
     fn face() -> Vec<DVec3> {
@@ -82,13 +82,13 @@ mod tests {
         let hull = head_hull(&face, 0.03);
         let project = |p: &DVec3| DVec2::new(p.x, p.y) / (p.z + 0.6);
         let outline = convex_hull(&hull.iter().map(project).collect::<Vec<_>>());
-        assert!(face.iter().all(|p| contains(&outline, project(p))));
+        assert!(face.iter().all(|p| hull_contains(&outline, project(p))));
         let lowest = face[8] + DVec3::Y * 0.03;
-        assert!(contains(&outline, project(&lowest)));
+        assert!(hull_contains(&outline, project(&lowest)));
         let crown = DVec3::new(0.0, -0.03 - 0.12, 0.09);
-        assert!(contains(&outline, project(&crown)));
+        assert!(hull_contains(&outline, project(&crown)));
         for outside in [DVec3::new(0.12, 0.0, 0.1), DVec3::new(0.0, 0.2, 0.05), DVec3::new(0.0, -0.25, 0.1)] {
-            assert!(!contains(&outline, project(&outside)), "{outside}");
+            assert!(!hull_contains(&outline, project(&outside)), "{outside}");
         }
         assert!(hull.iter().all(|p| p.is_finite() && p.z < 0.3));
     }

@@ -83,6 +83,10 @@ pub fn find(take_dir: impl AsRef<Path>, options: &PosesOptions, reporter: &dyn R
     let started = Instant::now();
     let take = Take::open(take_dir)?;
     let track = read_track(&take)?;
+    if !track.rows.iter().any(|r| r.is_valid(options.min_confidence)) {
+        let (path, min_confidence) = (take.openface_path(), options.min_confidence);
+        return Err(TrackerError::NoValidFrame { path, min_confidence });
+    }
     let folder = AtomicDir::create(take.dir.join("poses"))?;
     let result = place(&take, &track, options, folder.path(), reporter);
     let mut placed = match result {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec2, DVec3};
 use risorius_formats::colmap::{self, Model, ModelCamera, ModelImage, Point2d, Point3d};
-use risorius_formats::{Camera, FrameIndex, Intrinsics, Isometry, Reporter, Take, Warning};
+use risorius_formats::{Camera, FormatError, FrameIndex, Intrinsics, Isometry, Reporter, Take, Warning};
 
 use crate::error::{Result, TrackerError};
 
@@ -128,7 +128,7 @@ pub(crate) fn model_dirs(dir: &Path) -> Vec<PathBuf> {
 pub fn load(dir: impl AsRef<Path>, take: &Take, first: u32, reporter: &dyn Reporter) -> Result<Found> {
     let dir = dir.as_ref();
     if !dir.exists() {
-        return Err(risorius_formats::FormatError::io(dir, "read", &std::io::ErrorKind::NotFound.into()).into());
+        return Err(FormatError::io(dir, "read", &std::io::ErrorKind::NotFound.into()).into());
     }
     let dirs = model_dirs(dir);
     let candidates = dirs.len();

@@ -1,5 +1,5 @@
 use super::*;
-use crate::align::umeyama;
+use risorius_formats::similarity::umeyama;
 
 fn lens() -> Intrinsics {
     Intrinsics::pinhole(640, 480, 700.0)
@@ -108,7 +108,7 @@ fn the_adjustment_finds_shape_and_poses_from_a_generic_shape() {
     assert!(after < before * 1e-3, "{before} {after}");
     // The shape is right up to place, turn and size, which the prior chose.
     let pairs: Vec<_> = face().into_iter().zip(shape.iter().copied()).collect();
-    let similarity = umeyama(&pairs, true).unwrap();
+    let similarity = umeyama(&pairs, true).unwrap().a_from_b;
     let worst = pairs.iter().map(|(a, b)| a.distance(similarity.transform_point(*b))).fold(0.0, f64::max);
     assert!(worst < 2e-4, "{worst}");
     assert!((similarity.scale - 1.0).abs() < 0.05);

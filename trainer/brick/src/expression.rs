@@ -11,6 +11,7 @@
 //! gaze, a crooked mouth, whatever no AU tells), so that each sample pays one look-up whatever the number of AUs. m_n is exactly 0
 //! outside the region's bricks and hull and where it falls under [`HARD`]: what an AU cannot reach is untouched to the bit.
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::lattice::{BRICK, Lattice};
@@ -150,6 +151,61 @@ impl Expression {
             }
             d_activations[k] += d_a;
         }
+    }
+}
+
+/// Moves each number of a residual brick by `share` towards the mean of its neighbours inside the brick; displacements
+/// by `warp_share`. What few pixels have taught then follows what many have.
+fn smooth_brick(values: &mut [f32], before: &mut Vec<f32>, share: f32, warp_share: f32) {
+    const EDGE: usize = crate::lattice::EDGE;
+    before.clear();
+    before.extend_from_slice(values);
+    let at = |x: usize, y: usize, z: usize| ((z * EDGE + y) * EDGE + x) * CHANNELS;
+    let shares = [share, share, share, share, warp_share, warp_share, warp_share, share];
+    for z in 0..EDGE {
+        for y in 0..EDGE {
+            for x in 0..EDGE {
+                let mut sum = [0.0f32; CHANNELS];
+                let mut count = 0.0;
+                let mut add = |i: usize| {
+                    count += 1.0;
+                    for (s, v) in sum.iter_mut().zip(&before[i..i + CHANNELS]) {
+                        *s += v;
+                    }
+                };
+                for (low, high, i, stride) in [
+                    (x > 0, x + 1 < EDGE, at(x, y, z), CHANNELS),
+                    (y > 0, y + 1 < EDGE, at(x, y, z), EDGE * CHANNELS),
+                    (z > 0, z + 1 < EDGE, at(x, y, z), EDGE * EDGE * CHANNELS),
+                ] {
+                    if low {
+                        add(i - stride);
+                    }
+                    if high {
+                        add(i + stride);
+                    }
+                }
+                let i = at(x, y, z);
+                for c in 0..CHANNELS {
+                    values[i + c] += shares[c] * (sum[c] / count - before[i + c]);
+                }
+            }
+        }
+    }
+}
+
+impl Expression {
+    /// Smooths all residuals that were ever touched.
+    pub fn smooth(&mut self, share: f32, warp_share: f32) {
+        self.residuals.par_iter_mut().for_each(|table| {
+            let mut before = Vec::new();
+            let Table { values, steps, block, .. } = table;
+            for (brick, &steps) in values.chunks_exact_mut(*block).zip(steps.iter()) {
+                if steps > 0 {
+                    smooth_brick(brick, &mut before, share, warp_share);
+                }
+            }
+        });
     }
 }
 

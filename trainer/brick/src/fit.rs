@@ -71,6 +71,8 @@ pub struct Settings {
     pub haze: [f32; 2],
     /// Weight of the spread of weights along a ray, head and background, from the second stage on.
     pub spread: [f32; 2],
+    /// How far the AUs' features and displacements move towards their neighbours' mean every 16 steps.
+    pub smooth: [f32; 2],
     /// Weight of the masks.
     pub mask_weight: f32,
     /// Weight of eq. 17, first and last.
@@ -99,6 +101,7 @@ impl Default for Settings {
             final_rate: 0.04,
             haze: [1e-5, 0.0],
             spread: [0.06, 0.02],
+            smooth: [0.1, 0.2],
             mask_weight: 0.01,
             attribute_weight: [0.1, 0.01],
             latent_weight: 1e-4,
@@ -351,6 +354,11 @@ impl Fitter {
         jobs.push((alphas, columns.take(|c| &mut c.alphas), image, 0));
         jobs.push((log_betas, columns.take(|c| &mut c.log_betas), image, 0));
         jobs.into_par_iter().for_each(|(table, mut grads, adam, from)| table.step(&mut grads, &adam, from));
+        let [share, warp_share] = self.settings.smooth;
+        if self.progress.step.is_multiple_of(16) && share.max(warp_share) > 0.0 {
+            // Less and less: towards the end the pixels decide.
+            self.model.expression.smooth(share * rate, warp_share * rate);
+        }
         if moves && self.settings.refine_cameras {
             center(&mut self.model.motions);
         }
