@@ -68,9 +68,8 @@ impl Landmarks68 {
             norm += q[0] * q[0] + q[1] * q[1];
         }
         let (re, im) = if norm > 0.0 { (re / norm, im / norm) } else { (1.0, 0.0) };
-        let squares: f64 = pairs
-            .map(|(p, q)| (p[0] - re * q[0] + im * q[1]).powi(2) + (p[1] - re * q[1] - im * q[0]).powi(2))
-            .sum();
+        let squares: f64 =
+            pairs.map(|(p, q)| (p[0] - re * q[0] + im * q[1]).powi(2) + (p[1] - re * q[1] - im * q[0]).powi(2)).sum();
         ((squares / 68.0).sqrt() / f64::from(self.outer_eye_distance_px()).max(1e-9)) as f32
     }
 
@@ -105,7 +104,13 @@ mod tests {
         let mut points = [[0.0f32; 2]; 68];
         for i in 0..68 {
             let j = mirror_of(i);
-            let side = if i == j { 0.0 } else if i < j { -1.0 } else { 1.0 };
+            let side = if i == j {
+                0.0
+            } else if i < j {
+                -1.0
+            } else {
+                1.0
+            };
             let low = i.min(j) as f32;
             points[i] = [side * (20.0 + (low * 7.3) % 31.0), (low * 11.7) % 97.0];
         }

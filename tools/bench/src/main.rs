@@ -35,11 +35,14 @@ struct Cli {
     #[arg(long, default_value_t = 750)]
     frames: u32,
     /// Image scale of the dataset
-    #[arg(long, default_value_t = 4)]
+    #[arg(long, default_value_t = 2)]
     scale: u32,
-    /// Time for the fit
-    #[arg(long, default_value = "10m")]
+    /// Time for the fit of the brick field
+    #[arg(long, default_value = "2m")]
     budget: String,
+    /// Also fit the paper's networks (preset `cpu`) for so many steps
+    #[arg(long, value_name = "STEPS")]
+    confies: Option<u64>,
     /// Also find the cameras with the real COLMAP and compare them with the truth
     #[arg(long)]
     colmap: bool,
@@ -93,16 +96,23 @@ fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     })?;
     let build = ["build", &take, "--balance", "--frames", &frames, "--scale", &scale, "--out", &dataset];
     bench.stage("dataset", "dataset", &build, |v| format!("{} frames", number(v, &["frames", "selected"])))?;
-    bench.stage("fit", "trainer", &["fit", &dataset, "--out", &avatar, "--budget", &cli.budget], |v| {
-        format!("training rays {} dB", number(v, &["train_psnr_db"]))
-    })?;
-    let (views, renders) = (capture("test/views.json"), work("renders"));
-    bench.stage("render", "trainer", &["render", &avatar, "--views", &views, "--out", &renders], |v| {
-        format!("{} pictures", number(v, &["rendered"]))
-    })?;
-    bench.stage("eval", "trainer", &["eval", &avatar, "--views", &views, "--renders", &renders], |v| {
-        format!("mean PSNR {} dB", number(v, &["mean_psnr_db"]))
-    })?;
+    let fit =
+        |v: &Value| format!("training rays {} dB, {} steps", number(v, &["train_psnr_db"]), number(v, &["steps"]));
+    let rendered =
+        |v: &Value| format!("{} pictures, {} s each", number(v, &["rendered"]), number(v, &["seconds_per_picture"]));
+    let views = capture("test/views.json");
+    let renders = work("renders");
+    bench.stage("fit (brick)", "trainer", &["fit", &dataset, "--out", &avatar, "--budget", &cli.budget], fit)?;
+    bench.stage("render", "trainer", &["render", &avatar, "--views", &views, "--out", &renders], rendered)?;
+    bench.stage("eval", "trainer", &["eval", &avatar, "--views", &views, "--renders", &renders], scores)?;
+    if let Some(steps) = cli.confies {
+        let (avatar, renders) = (work("run-confies"), work("renders-confies"));
+        let steps = steps.to_string();
+        let args = ["fit", &dataset, "--out", &avatar, "--field", "confies", "--steps", &steps, "--image-scale", "4"];
+        bench.stage("fit (confies)", "trainer", &args, fit)?;
+        bench.stage("render", "trainer", &["render", &avatar, "--views", &views, "--out", &renders], rendered)?;
+        bench.stage("eval", "trainer", &["eval", &avatar, "--views", &views, "--renders", &renders], scores)?;
+    }
     if cli.capture.join("driver.mp4").is_file() {
         bench.stage(
             "record driver",
@@ -130,6 +140,13 @@ fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     let table: Vec<String> = std::iter::once(head).chain(bench.rows.iter().map(line)).collect();
     console.finish(&bench.rows, &table.join("\n"));
     Ok(())
+}
+
+/// Mean PSNR of all views and of each kind.
+fn scores(v: &Value) -> String {
+    let kinds = v.get("mean_psnr_db_by_kind").and_then(Value::as_object).into_iter().flatten();
+    let kinds: Vec<String> = kinds.map(|(kind, psnr)| format!("{kind} {:.2}", psnr.as_f64().unwrap_or(0.0))).collect();
+    format!("mean PSNR {} dB ({})", number(v, &["mean_psnr_db"]), kinds.join(", "))
 }
 
 struct Bench<'a> {

@@ -26,7 +26,14 @@ const FIRST: u64 = 160;
 const THOROUGH: u64 = 400;
 
 /// Looks at cells of both parts and decides anew what is occupied.
-pub(crate) fn update(model: &mut Brick, views: &impl Views, seed: u64, step: u64, stage: usize, weights: &[Vec<f32>; 2]) {
+pub(crate) fn update(
+    model: &mut Brick,
+    views: &impl Views,
+    seed: u64,
+    step: u64,
+    stage: usize,
+    weights: &[Vec<f32>; 2],
+) {
     let gates = model.expression.gates();
     for part_index in 0..2 {
         if part_index == 1 && model.background.is_none() {
@@ -73,7 +80,15 @@ pub(crate) fn update(model: &mut Brick, views: &impl Views, seed: u64, step: u64
 }
 
 /// Densities at random points of a share of the cells, under the expression of a random image.
-fn look(model: &Brick, views: &impl Views, gates: &[f32], part_index: usize, seed: u64, step: u64, share: usize) -> Vec<(usize, f32)> {
+fn look(
+    model: &Brick,
+    views: &impl Views,
+    gates: &[f32],
+    part_index: usize,
+    seed: u64,
+    step: u64,
+    share: usize,
+) -> Vec<(usize, f32)> {
     let mut rng = rng_for(seed, step, 512 + 16 * part_index as u64 + share as u64);
     let part = if part_index == 0 { Some(&model.head) } else { model.background.as_ref() };
     let Some(part) = part else { return Vec::new() };

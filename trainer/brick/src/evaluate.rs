@@ -120,6 +120,17 @@ impl Samples {
         }
     }
 
+    /// As [`Self::forward`] from the first sample on, with the instructions of `level`.
+    #[cfg(test)]
+    pub(crate) fn forward_at(
+        &mut self,
+        level: crate::simd::Level,
+        field: &Field,
+        deformation: Option<&Deformation<'_>>,
+    ) {
+        crate::simd::run_at(level, Forward { samples: self, field, deformation, from: 0, colors: true });
+    }
+
     /// Evaluates only the density, at all samples; they need no ray.
     pub fn forward_density(&mut self, field: &Field, deformation: Option<&Deformation<'_>>) {
         if !self.is_empty() {
@@ -186,7 +197,10 @@ impl Task for Forward<'_> {
                     if corners.index.iter().any(|&i| i >= lattice::BRICK as u32) {
                         b.in_region[s] = true;
                         let w = corners.weights();
-                        S::q_store(x.as_mut_ptr().add(EXPRESSION_AT), lattice::gather::<S>(d.blend, CHANNELS, 0, &corners, &w));
+                        S::q_store(
+                            x.as_mut_ptr().add(EXPRESSION_AT),
+                            lattice::gather::<S>(d.blend, CHANNELS, 0, &corners, &w),
+                        );
                         S::q_store(shift.as_mut_ptr(), lattice::gather::<S>(d.blend, CHANNELS, 4, &corners, &w));
                         S::q_store(b.masks[s].as_mut_ptr(), lattice::gather::<S>(d.gates, MASKS, 0, &corners, &w));
                         x[EXPRESSION_AT + 4] = shift[3];
@@ -291,9 +305,7 @@ impl Task for Backward<'_, '_> {
                     b.h3.copy_within(s * HIDDEN..(s + 1) * HIDDEN, k * HIDDEN);
                 }
             }
-            for (v, width) in
-                [(&mut b.x1, INPUT), (&mut b.h1, HIDDEN), (&mut b.x3, COLOR_INPUT), (&mut b.h3, HIDDEN)]
-            {
+            for (v, width) in [(&mut b.x1, INPUT), (&mut b.h1, HIDDEN), (&mut b.x3, COLOR_INPUT), (&mut b.h3, HIDDEN)] {
                 v[n * width..padded * width].fill(0.0);
             }
             let dw = &mut grad.net.values;
@@ -361,12 +373,20 @@ impl Task for Backward<'_, '_> {
                     let corners = lattice.corners(at);
                     // SAFETY: as above.
                     unsafe {
-                        lattice::scatter::<S>(g.latent, 4, 0, &corners, &corners.weights(), S::q_load(d_point.as_ptr()));
+                        lattice::scatter::<S>(
+                            g.latent,
+                            4,
+                            0,
+                            &corners,
+                            &corners.weights(),
+                            S::q_load(d_point.as_ptr()),
+                        );
                     }
                 }
                 let [x, y, z] = at;
                 let [gx, gy, gz, _] = d_point;
-                for (sum, v) in g.motion.iter_mut().zip([y * gz - z * gy, z * gx - x * gz, x * gy - y * gx, gx, gy, gz]) {
+                for (sum, v) in g.motion.iter_mut().zip([y * gz - z * gy, z * gx - x * gz, x * gy - y * gx, gx, gy, gz])
+                {
                     *sum += v;
                 }
             }

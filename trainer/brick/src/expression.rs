@@ -48,7 +48,13 @@ pub struct Expression {
 
 impl Expression {
     /// Zero residuals for AUs and `codes` latent numbers; `hull(vertex position)` gives the bits of the regions that hold a point.
-    pub fn new(vertices: [usize; 3], mut region_of: Vec<usize>, regions: usize, codes: usize, hull: impl Fn([f32; 3]) -> u8) -> Self {
+    pub fn new(
+        vertices: [usize; 3],
+        mut region_of: Vec<usize>,
+        regions: usize,
+        codes: usize,
+        hull: impl Fn([f32; 3]) -> u8,
+    ) -> Self {
         assert!(regions <= REST, "at most {REST} regions");
         region_of.extend(std::iter::repeat_n(REST, codes));
         let mut lattice = Lattice::sparse(vertices);
@@ -73,8 +79,7 @@ impl Expression {
                 }
             }
         }
-        let residuals =
-            region_of.iter().map(|&n| Table::new(slots_of[n].len(), BRICK * CHANNELS, || 0.0)).collect();
+        let residuals = region_of.iter().map(|&n| Table::new(slots_of[n].len(), BRICK * CHANNELS, || 0.0)).collect();
         let masks = Table::new(lattice.slots, BRICK * MASKS, || 0.0);
         Self { lattice, region_of, slots_of, allowed: bits, residuals, masks }
     }
@@ -124,7 +129,14 @@ impl Expression {
     /// Adds the gradient of B to the residuals' and gives that of the activations.
     ///
     /// Masks get no gradient from here: they follow the 2D masks only.
-    pub fn backward(&self, gates: &[f32], activations: &[f32], d_blend: &[f32], grads: &mut [TableGrad], d_activations: &mut [f32]) {
+    pub fn backward(
+        &self,
+        gates: &[f32],
+        activations: &[f32],
+        d_blend: &[f32],
+        grads: &mut [TableGrad],
+        d_activations: &mut [f32],
+    ) {
         for (k, (&a, table)) in activations.iter().zip(&self.residuals).enumerate() {
             let n = self.region_of[k];
             if a.abs() < QUIET {

@@ -91,7 +91,7 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             seed: 0,
-            images: 16,
+            images: 8,
             samples: 64_000,
             grid_rate: 1e-2,
             residual_rate: 2e-2,
@@ -101,7 +101,7 @@ impl Default for Settings {
             final_rate: 0.04,
             haze: [1e-5, 0.0],
             spread: [0.06, 0.02],
-            smooth: [0.1, 0.2],
+            smooth: [0.2, 0.4],
             mask_weight: 0.01,
             attribute_weight: [0.1, 0.01],
             latent_weight: 1e-4,
@@ -155,13 +155,8 @@ pub struct StepNumbers {
 }
 
 /// Stages: divisions and planes as a share of the finest, levels, samples per ray that end it, steps that end it.
-const STAGES: [(f32, usize, f32, u64); 5] = [
-    (0.15, 3, 14.0, 420),
-    (0.25, 3, 14.0, 200),
-    (0.40, 4, 16.0, 200),
-    (0.60, 5, 20.0, 250),
-    (1.00, 6, 0.0, u64::MAX),
-];
+const STAGES: [(f32, usize, f32, u64); 5] =
+    [(0.15, 3, 14.0, 420), (0.25, 3, 14.0, 200), (0.40, 4, 16.0, 200), (0.60, 5, 20.0, 250), (1.00, 6, 0.0, u64::MAX)];
 
 /// One thread's gradients and scratch.
 #[derive(Debug, Default)]
@@ -283,7 +278,12 @@ impl Fitter {
     fn look(&self) -> Look {
         let share = STAGES[self.progress.stage].0;
         let of = |n: usize| ((n as f32 * share) as usize).max(16);
-        Look { divisions: of(self.settings.finest[0]), planes: of(self.settings.finest[1]), opaque: 1e-4, background: true }
+        Look {
+            divisions: of(self.settings.finest[0]),
+            planes: of(self.settings.finest[1]),
+            opaque: 1e-4,
+            background: true,
+        }
     }
 
     fn begin_step(&mut self) {
@@ -479,7 +479,10 @@ impl<'a> Columns<'a> {
         Self { lanes }
     }
 
-    fn take(&mut self, which: impl for<'c> Fn(&'c mut LaneColumns<'a>) -> &'c mut Option<&'a mut TableGrad>) -> Vec<&'a mut TableGrad> {
+    fn take(
+        &mut self,
+        which: impl for<'c> Fn(&'c mut LaneColumns<'a>) -> &'c mut Option<&'a mut TableGrad>,
+    ) -> Vec<&'a mut TableGrad> {
         self.lanes.iter_mut().filter_map(|lane| which(lane).take()).collect()
     }
 }
@@ -559,7 +562,8 @@ impl Lane {
                 .map(|p| p.backdrop.unwrap_or_else(|| std::array::from_fn(|_| rng.random::<f32>())))
                 .collect();
             self.rays.forward(model, &deformation, motion, origin, &directions, || rng.random::<f32>(), work.look);
-            let (d_color, d_masks) = losses(&self.rays, &self.pixels, &behind, s.mask_weight, model.layout.regions, &mut self.numbers);
+            let (d_color, d_masks) =
+                losses(&self.rays, &self.pixels, &behind, s.mask_weight, model.layout.regions, &mut self.numbers);
             self.rays.backward(
                 model,
                 &deformation,

@@ -117,7 +117,10 @@ impl Lattice {
             let at = self.slot[brick] * BRICK as u32 + local as u32;
             const Y: u32 = EDGE as u32;
             const Z: u32 = (EDGE * EDGE) as u32;
-            return Corners { index: [at, at + 1, at + Y, at + Y + 1, at + Z, at + Z + 1, at + Z + Y, at + Z + Y + 1], t };
+            return Corners {
+                index: [at, at + 1, at + Y, at + Y + 1, at + Z, at + Z + 1, at + Z + Y, at + Z + Y + 1],
+                t,
+            };
         }
         let mut index = [0; 8];
         for (k, index) in index.iter_mut().enumerate() {
@@ -135,7 +138,13 @@ impl Lattice {
 /// Every corner's row must lie inside `values`.
 #[allow(unsafe_code, reason = "innermost loop; the caller's corners come from the lattice the table was made for")]
 #[inline(always)]
-pub(crate) unsafe fn gather<S: Simd>(values: &[f32], stride: usize, offset: usize, corners: &Corners, weights: &[f32; 8]) -> S::Q {
+pub(crate) unsafe fn gather<S: Simd>(
+    values: &[f32],
+    stride: usize,
+    offset: usize,
+    corners: &Corners,
+    weights: &[f32; 8],
+) -> S::Q {
     unsafe {
         let p = values.as_ptr().add(offset);
         let mut sum = S::q_splat(0.0);
@@ -153,7 +162,14 @@ pub(crate) unsafe fn gather<S: Simd>(values: &[f32], stride: usize, offset: usiz
 /// As [`gather`].
 #[allow(unsafe_code, reason = "innermost loop; the caller's corners come from the lattice the table was made for")]
 #[inline(always)]
-pub(crate) unsafe fn scatter<S: Simd>(grads: &mut [f32], stride: usize, offset: usize, corners: &Corners, weights: &[f32; 8], d: S::Q) {
+pub(crate) unsafe fn scatter<S: Simd>(
+    grads: &mut [f32],
+    stride: usize,
+    offset: usize,
+    corners: &Corners,
+    weights: &[f32; 8],
+    d: S::Q,
+) {
     unsafe {
         let len = grads.len();
         let p = grads.as_mut_ptr().add(offset);
@@ -171,7 +187,13 @@ pub(crate) unsafe fn scatter<S: Simd>(grads: &mut [f32], stride: usize, offset: 
 /// As [`gather`].
 #[allow(unsafe_code, reason = "innermost loop; the caller's corners come from the lattice the table was made for")]
 #[inline(always)]
-pub(crate) unsafe fn dots<S: Simd>(values: &[f32], stride: usize, offset: usize, corners: &Corners, d: S::Q) -> [f32; 8] {
+pub(crate) unsafe fn dots<S: Simd>(
+    values: &[f32],
+    stride: usize,
+    offset: usize,
+    corners: &Corners,
+    d: S::Q,
+) -> [f32; 8] {
     unsafe {
         let p = values.as_ptr().add(offset);
         std::array::from_fn(|k| S::q_dot(d, S::q_load(p.add(corners.index[k] as usize * stride))))

@@ -44,9 +44,8 @@ pub fn rotate(w: [f32; 3], p: [f32; 3]) -> [f32; 3] {
     } else {
         (angle.sin() / angle, (1.0 - angle.cos()) / angle2)
     };
-    let cross = |u: [f32; 3], v: [f32; 3]| {
-        [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
-    };
+    let cross =
+        |u: [f32; 3], v: [f32; 3]| [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
     let wp = cross(w, p);
     let wwp = cross(w, wp);
     std::array::from_fn(|i| p[i] + a * wp[i] + b * wwp[i])

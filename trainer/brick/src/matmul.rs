@@ -5,7 +5,13 @@ use crate::simd::Simd;
 
 /// y[n × OUT] = x[n × IN] · w[IN × OUT], with ReLU if asked. `n` is a multiple of 8; OUT of 16.
 #[inline(always)]
-pub(crate) fn product<S: Simd, const IN: usize, const OUT: usize>(x: &[f32], w: &[f32], y: &mut [f32], n: usize, relu: bool) {
+pub(crate) fn product<S: Simd, const IN: usize, const OUT: usize>(
+    x: &[f32],
+    w: &[f32],
+    y: &mut [f32],
+    n: usize,
+    relu: bool,
+) {
     assert!(n.is_multiple_of(8) && OUT.is_multiple_of(16), "block sizes");
     assert!(x.len() >= n * IN && w.len() >= IN * OUT && y.len() >= n * OUT, "matrix sizes");
     let (x, w, y) = (x.as_ptr(), w.as_ptr(), y.as_mut_ptr());
@@ -65,7 +71,12 @@ unsafe fn block<S: Simd, const IN: usize, const OUT: usize, const R: usize, cons
 
 /// dw[IN × OUT] += xᵀ[IN × n] · dy[n × OUT]. IN is a multiple of 4.
 #[inline(always)]
-pub(crate) fn accumulate_weights<S: Simd, const IN: usize, const OUT: usize>(x: &[f32], dy: &[f32], dw: &mut [f32], n: usize) {
+pub(crate) fn accumulate_weights<S: Simd, const IN: usize, const OUT: usize>(
+    x: &[f32],
+    dy: &[f32],
+    dw: &mut [f32],
+    n: usize,
+) {
     assert!(IN.is_multiple_of(4) && OUT.is_multiple_of(16), "block sizes");
     assert!(x.len() >= n * IN && dy.len() >= n * OUT && dw.len() >= IN * OUT, "matrix sizes");
     let (x, dy, dw) = (x.as_ptr(), dy.as_ptr(), dw.as_mut_ptr());

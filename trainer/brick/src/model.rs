@@ -139,13 +139,15 @@ impl Brick {
         }
         let head = Part { field: Field::new(levels, &mut rng), occupancy: Occupancy::default() };
         let background = layout.background.map(|_| {
-            let levels = [[32, 24, 16], [64, 48, 32], [128, 96, 32], [256, 192, 16], [512, 384, 8]].map(Lattice::dense).into();
+            let levels =
+                [[32, 24, 16], [64, 48, 32], [128, 96, 32], [256, 192, 16], [512, 384, 8]].map(Lattice::dense).into();
             Part { field: Field::new(levels, &mut rng), occupancy: Occupancy::default() }
         });
         let HeadBox { center, half } = layout.head_box;
-        let expression = Expression::new([layout.expression_vertices; 3], layout.region_of.clone(), layout.regions, LATENT, |p| {
-            hull(std::array::from_fn(|a| center[a] + p[a] * half))
-        });
+        let expression =
+            Expression::new([layout.expression_vertices; 3], layout.region_of.clone(), layout.regions, LATENT, |p| {
+                hull(std::array::from_fn(|a| center[a] + p[a] * half))
+            });
         let latent_lattice = Lattice::dense([LATENT_VERTICES; 3]);
         let latent_bases = (0..LATENT)
             .map(|_| Table::new(latent_lattice.slots, BRICK * 4, || (rng.random::<f32>() - 0.5) * 1e-3))
@@ -170,7 +172,8 @@ impl Brick {
 
     /// Numbers that are learned.
     pub fn parameters(&self) -> usize {
-        let field = |p: &Part| p.field.features.iter().map(|t| t.values.len()).sum::<usize>() + p.field.net.values.len();
+        let field =
+            |p: &Part| p.field.features.iter().map(|t| t.values.len()).sum::<usize>() + p.field.net.values.len();
         field(&self.head)
             + self.background.as_ref().map_or(0, field)
             + self.expression.residuals.iter().map(|t| t.values.len()).sum::<usize>()
@@ -207,6 +210,11 @@ pub fn activation(alpha: f32) -> f32 {
 }
 
 /// Everything an image's rays need of the expression.
-pub fn deformation<'a>(model: &'a Brick, blend: &'a [f32], gates: &'a [f32], latent: Option<&'a [f32]>) -> Deformation<'a> {
+pub fn deformation<'a>(
+    model: &'a Brick,
+    blend: &'a [f32],
+    gates: &'a [f32],
+    latent: Option<&'a [f32]>,
+) -> Deformation<'a> {
     Deformation { lattice: &model.expression.lattice, blend, gates, latent: latent.map(|l| (&model.latent_lattice, l)) }
 }

@@ -25,7 +25,12 @@ pub struct Occupancy {
 
 impl Default for Occupancy {
     fn default() -> Self {
-        Self { density: vec![0.0; COUNT], weight: vec![1.0; COUNT], bits: vec![true; COUNT], blocks: vec![true; BLOCKS.pow(3)] }
+        Self {
+            density: vec![0.0; COUNT],
+            weight: vec![1.0; COUNT],
+            bits: vec![true; COUNT],
+            blocks: vec![true; BLOCKS.pow(3)],
+        }
     }
 }
 
@@ -99,7 +104,11 @@ impl Occupancy {
         let March { origin, direction, step, exit, .. } = *march;
         let mut found = 0;
         while march.t < exit {
-            let p = [origin[0] + march.t * direction[0], origin[1] + march.t * direction[1], origin[2] + march.t * direction[2]];
+            let p = [
+                origin[0] + march.t * direction[0],
+                origin[1] + march.t * direction[1],
+                origin[2] + march.t * direction[2],
+            ];
             let cell = cell_at(p);
             if self.bits[cell] {
                 if found == count {
@@ -140,7 +149,8 @@ impl Occupancy {
             if !before[cell] {
                 let position = cell_position(cell);
                 self.bits[cell] = (0..3).any(|a| {
-                    (position[a] > 0 && before[cell - strides[a]]) || (position[a] + 1 < CELLS && before[cell + strides[a]])
+                    (position[a] > 0 && before[cell - strides[a]])
+                        || (position[a] + 1 < CELLS && before[cell + strides[a]])
                 });
             }
         }

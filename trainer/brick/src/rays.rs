@@ -225,10 +225,10 @@ impl Rays {
         deformation_grad: &mut DeformationGrad<'_>,
     ) {
         self.behind.clear();
-        self.behind.extend((0..d_color.len()).map(|r| Behind {
-            suffix: self.left[r] * math::dot(d_color[r], behind[r]),
-            ..Behind::default()
-        }));
+        self.behind.extend(
+            (0..d_color.len())
+                .map(|r| Behind { suffix: self.left[r] * math::dot(d_color[r], behind[r]), ..Behind::default() }),
+        );
         let [head_grad, background_grad] = grads;
         simd::run(Decomposite { rays: self, look, d_color, prior });
         let Self { head, background, .. } = self;
@@ -407,3 +407,7 @@ impl Task for Decomposite<'_> {
 
 /// Behind a head that lets less than this through, the background is not looked at.
 const BACKGROUND_FROM: f32 = 2e-3;
+
+#[cfg(test)]
+#[path = "rays_tests.rs"]
+mod tests;

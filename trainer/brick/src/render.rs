@@ -54,18 +54,21 @@ impl<'a> Face<'a> {
         let look =
             Look { divisions: model.divisions, planes: model.planes, opaque: OPAQUE, background: self.background };
         let mut out = vec![Shown::default(); directions.len()];
-        out.par_chunks_mut(CHUNK).zip(directions.par_chunks(CHUNK)).for_each_init(Rays::default, |rays, (out, directions)| {
-            rays.forward(model, &deformation, None, origin, directions, || 0.5, look);
-            for (r, out) in out.iter_mut().enumerate() {
-                let [sum, weight] = rays.depth[r];
-                *out = Shown {
-                    color: rays.color[r],
-                    left: rays.left[r],
-                    masks: rays.masks[r],
-                    depth: if weight > 0.5 { sum / weight } else { 0.0 },
-                };
-            }
-        });
+        out.par_chunks_mut(CHUNK).zip(directions.par_chunks(CHUNK)).for_each_init(
+            Rays::default,
+            |rays, (out, directions)| {
+                rays.forward(model, &deformation, None, origin, directions, || 0.5, look);
+                for (r, out) in out.iter_mut().enumerate() {
+                    let [sum, weight] = rays.depth[r];
+                    *out = Shown {
+                        color: rays.color[r],
+                        left: rays.left[r],
+                        masks: rays.masks[r],
+                        depth: if weight > 0.5 { sum / weight } else { 0.0 },
+                    };
+                }
+            },
+        );
         out
     }
 }

@@ -3,7 +3,10 @@
 //! A kernel is a [`Task`] whose body is generic over [`Simd`]; [`run`] compiles it once per instruction set and picks the
 //! widest one the machine supports. `RISORIUS_SIMD=scalar|avx2|avx512` narrows the choice, for tests and measurements.
 #![allow(unsafe_code, reason = "vector instructions behind one small border; every caller is checked in debug builds")]
-#![allow(clippy::missing_safety_doc, reason = "all operations: the instruction set must be present, pointers must be valid")]
+#![allow(
+    clippy::missing_safety_doc,
+    reason = "all operations: the instruction set must be present, pointers must be valid"
+)]
 
 use std::sync::OnceLock;
 

@@ -86,7 +86,13 @@ struct BrickState {
 const PENDING: [&str; 2] = ["pending.head", "pending.background"];
 
 /// Fits an avatar of `data` into the folder `run`.
-pub fn fit(data: &TrainData, settings: &BrickSettings, run: &Path, resume: bool, reporter: &dyn Reporter) -> Result<FitSummary> {
+pub fn fit(
+    data: &TrainData,
+    settings: &BrickSettings,
+    run: &Path,
+    resume: bool,
+    reporter: &dyn Reporter,
+) -> Result<FitSummary> {
     if data.table.regions.len() > risorius_brick::expression::REST {
         return Err(TrainerError::Dataset {
             path: data.dir.clone(),
@@ -174,7 +180,9 @@ pub fn fit(data: &TrainData, settings: &BrickSettings, run: &Path, resume: bool,
 }
 
 fn check_finite(numbers: &StepNumbers, step: u64) -> Result<()> {
-    for (value, what) in [(numbers.color, "the colour error"), (numbers.mask, "the mask error"), (numbers.attribute, "L_attr")] {
+    for (value, what) in
+        [(numbers.color, "the colour error"), (numbers.mask, "the mask error"), (numbers.attribute, "L_attr")]
+    {
         if !value.is_finite() {
             return Err(TrainerError::NotFinite { step, what: what.to_owned() });
         }
@@ -200,7 +208,14 @@ fn start(data: &TrainData, settings: &BrickSettings, run: &Path, resume: bool) -
     Ok((fitter, state.seconds))
 }
 
-fn save(fitter: &mut Fitter, views: &TrainViews<'_>, seconds: f64, data: &TrainData, settings: &BrickSettings, run: &Path) -> Result<()> {
+fn save(
+    fitter: &mut Fitter,
+    views: &TrainViews<'_>,
+    seconds: f64,
+    data: &TrainData,
+    settings: &BrickSettings,
+    run: &Path,
+) -> Result<()> {
     let step = fitter.progress.step;
     let pending = fitter.pending_weights();
     let model = &fitter.model;
@@ -215,10 +230,8 @@ fn save(fitter: &mut Fitter, views: &TrainViews<'_>, seconds: f64, data: &TrainD
     dir.commit()?;
     checkpoint::prune(run)?;
     store::write(&run.join("model.safetensors"), model, Content::Avatar, views.plate(), &[])?;
-    let center = data.extras().map_or_else(
-        || Vec3::from_array(model.layout.head_box.center).as_dvec3(),
-        |e| e.head_center,
-    );
+    let center =
+        data.extras().map_or_else(|| Vec3::from_array(model.layout.head_box.center).as_dvec3(), |e| e.head_center);
     write_json(run.join("model.json"), &SavedModel::describe(data, SavedField::Brick(saved), center))?;
     manifest(data, "brick", settings.step.seed, step, seconds).write(run.join("run.json"))?;
     Ok(())

@@ -47,7 +47,11 @@ impl<'a> RegionHull<'a> {
                 let distance = (frame.camera.center() - center).length();
                 let radius = face.map_or(0.0, |f| WIDEN_RADII * f.1 * i.fx / distance).clamp(1.0, 64.0);
                 let (width, height) = (i.width as usize, i.height as usize);
-                View { frame, masks: widen(frame.labels.as_deref().unwrap_or_default(), width, height, radius as usize), width }
+                View {
+                    frame,
+                    masks: widen(frame.labels.as_deref().unwrap_or_default(), width, height, radius as usize),
+                    width,
+                }
             })
             .collect();
         let position = data.frames.iter().map(|f| f.camera.center()).sum::<DVec3>() / data.frames.len().max(1) as f64;

@@ -102,7 +102,9 @@ fn background(data: &TrainData, camera: &MeanCamera, head: &HeadBox) -> Backgrou
     for a in 0..2 {
         let values = &mut seen[a];
         values.sort_by(f32::total_cmp);
-        let at = |q: f64| values.get((values.len() as f64 * q) as usize).copied().unwrap_or(if q < 0.5 { -1.0 } else { 1.0 });
+        let at = |q: f64| {
+            values.get((values.len() as f64 * q) as usize).copied().unwrap_or(if q < 0.5 { -1.0 } else { 1.0 })
+        };
         let (low, high) = (at(0.005), at(0.995));
         frame.middle[a] = (low + high) * 0.5;
         frame.extent[a] = ((high - low) * 0.5).max(1e-3);

@@ -181,7 +181,13 @@ impl Visitor for Fill<'_> {
 }
 
 /// Writes a model's arrays, with the plate and other floats of the fit if there are some.
-pub fn write(path: &Path, model: &Brick, content: Content, plate: Option<&Plate>, more: &[(&str, &[f32])]) -> Result<()> {
+pub fn write(
+    path: &Path,
+    model: &Brick,
+    content: Content,
+    plate: Option<&Plate>,
+    more: &[(&str, &[f32])],
+) -> Result<()> {
     let mut gather = Gather::default();
     visit(&mut model.clone(), content, &mut gather);
     if let Some(plate) = plate {

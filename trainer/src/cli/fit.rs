@@ -44,6 +44,9 @@ pub(super) struct FitArgs {
     /// Image scale to fit, such as 4 [default: the dataset's]
     #[arg(long, value_name = "S")]
     pub(super) image_scale: Option<u32>,
+    /// Steps between checkpoints
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(super) checkpoint_every: Option<u64>,
     /// Go on from the newest checkpoint in RUN
     #[arg(long)]
     pub(super) resume: bool,
@@ -197,6 +200,7 @@ fn resolve(args: &FitArgs) -> Result<FitSettings, Failure> {
         settings = settings.with_steps(steps);
     }
     settings.seed = args.seed.or(file.seed).unwrap_or(settings.seed);
+    settings.checkpoint_every = args.checkpoint_every.unwrap_or(settings.checkpoint_every);
     settings.rays = args.rays.or(file.rays).unwrap_or(settings.rays);
     settings.image_scale = args.image_scale.or(file.image_scale).unwrap_or(settings.image_scale);
     Ok(settings)

@@ -43,7 +43,8 @@ pub(super) fn run(args: &FitArgs, console: &Console) -> Result<(), Failure> {
             Some(steps) => format!("{steps} steps"),
             None => format!("{:.0} s", settings.budget_secs),
         };
-        let human = format!("would fit the brick field to {} frames (scale {}) for {length}", plan.frames, plan.image_scale);
+        let human =
+            format!("would fit the brick field to {} frames (scale {}) for {length}", plan.frames, plan.image_scale);
         console.finish(&plan, &human);
         return Ok(());
     }
@@ -68,6 +69,7 @@ fn resolve(args: &FitArgs) -> Result<BrickSettings, Failure> {
         settings.budget_secs = budget;
         settings.steps = None;
     }
+    settings.checkpoint_every = args.checkpoint_every.unwrap_or(settings.checkpoint_every);
     settings.step.seed = args.seed.unwrap_or(settings.step.seed);
     settings.image_scale = args.image_scale.unwrap_or(settings.image_scale);
     Ok(settings)
