@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use risorius_formats::atomic::{self, AtomicDir};
+use risorius_formats::intensities::Intensities;
 use risorius_formats::pose_report::write_json;
 use risorius_formats::similarity::umeyama;
 use risorius_formats::{ActionUnit, AttributeSpec, AttributeTable, Camera, RegionTable, Reporter, Similarity, Warning};
@@ -114,6 +115,9 @@ pub fn build(takes: &[PathBuf], out: &Path, options: &BuildOptions, reporter: &d
     reporter.stage("write cameras and annotations", None);
     dataset.write(dir)?;
     table.write(dir.join("attributes.toml"))?;
+    let units = table.attributes.iter().map(|a| a.unit).collect();
+    let rows = jobs.into_iter().map(|j| (j.id, j.intensities)).collect();
+    Intensities { units, rows }.write(dir)?;
     let report_dir = dir.join("report");
     write_json(report_dir.join("stats.json"), &report)?;
     let settings = toml::to_string(options).map_err(|e| DatasetError::encode(report_dir.join("settings.toml"), &e))?;

@@ -53,6 +53,15 @@ impl AttributeSpec {
         ((intensity - self.au_min) / self.width() * 2.0 - 1.0).clamp(-1.0, 1.0)
     }
 
+    /// Eq. 1 without its cap: intensities between 80 % of `au_max` and `au_max` go on rising above 1 (to 1.5 for an AU that
+    /// starts at 0), so that the strongest expressions stay apart.
+    pub fn uncapped_attribute_from_intensity(&self, intensity: f32) -> f32 {
+        if !self.active || !intensity.is_finite() {
+            return -1.0;
+        }
+        ((intensity.min(self.au_max) - self.au_min) / self.width() * 2.0 - 1.0).max(-1.0)
+    }
+
     /// The inverse of eq. 1 inside its range: attribute −1..1 to intensity. Inactive attributes give the neutral value.
     pub fn intensity_from_attribute(&self, attribute: f32) -> f32 {
         if !self.active {
@@ -183,6 +192,15 @@ mod tests {
             assert_eq!(s.intensity_from_attribute(0.3), s.neutral);
         }
         assert_eq!(spec(0.0, 5.0).attribute_from_intensity(f32::NAN), -1.0);
+    }
+
+    #[test]
+    fn without_the_cap_strong_expressions_stay_apart() {
+        let s = spec(0.0, 5.0);
+        for (au, expected) in [(2.0, 0.0), (4.0, 1.0), (4.5, 1.25), (5.0, 1.5), (9.0, 1.5), (-1.0, -1.0)] {
+            assert!((s.uncapped_attribute_from_intensity(au) - expected).abs() < 1e-6, "{au}");
+        }
+        assert_eq!(s.uncapped_attribute_from_intensity(f32::NAN), -1.0);
     }
 
     proptest! {

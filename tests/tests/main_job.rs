@@ -26,7 +26,7 @@ fn mean_difference(a: &Path, b: &Path) -> f64 {
 fn video_to_avatar_to_transfer() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name);
-    let (capture, take, driver, dataset, run_dir) = (at("capture"), at("take"), at("driver"), at("dataset"), at("run"));
+    let (capture, take, driver, dataset) = (at("capture"), at("take"), at("driver"), at("dataset"));
 
     succeed("synth", &["--out", text(&capture), "--frames", "90", "--fps", "30", "--size", "96x160", "--driver", "-q"]);
     let recorded = json(&succeed(

@@ -9,8 +9,7 @@ use glam::{DVec2, Vec3};
 use image::RgbImage;
 use rand_chacha::ChaCha8Rng;
 use risorius_brick::Brick;
-use risorius_brick::render::Face;
-use risorius_formats::{ActionUnit, Camera, Reporter};
+use risorius_formats::{ActionUnit, AttributeSpec, Camera, Reporter};
 
 use crate::brick::plate::Plate;
 use crate::brick::store::{self, Content};
@@ -20,6 +19,7 @@ use crate::hull::Outline;
 use crate::model::{ConfiesModel, Level, RayCodes, Windows};
 use crate::sampling;
 use crate::saved::{SavedConfies, SavedField, SavedModel};
+use crate::studio::{Look, Studio};
 use crate::volume;
 
 /// Rays per chunk: bounds memory, large enough to keep the cores busy.
@@ -51,7 +51,7 @@ enum Fitted {
 }
 
 /// A ray of a picture: where its pixel stands and where it goes.
-type Wanted = (usize, Vec3);
+pub(crate) type Wanted = (usize, Vec3);
 
 impl Avatar {
     /// Opens the avatar of a run.
@@ -73,7 +73,7 @@ impl Avatar {
 
     /// The neutral face.
     pub fn neutral_attributes(&self) -> Vec<f32> {
-        self.saved.table.attributes.iter().map(risorius_formats::AttributeSpec::neutral_attribute).collect()
+        self.saved.table.attributes.iter().map(AttributeSpec::neutral_attribute).collect()
     }
 
     /// Attributes of an expression given as AU intensities 0–5; AUs left out are neutral, AUs the avatar does not know
@@ -84,7 +84,7 @@ impl Avatar {
         for (&unit, &value) in intensities {
             match self.saved.table.index_of(unit) {
                 Some(k) if self.saved.table.attributes[k].active => {
-                    attributes[k] = self.saved.table.attributes[k].attribute_from_intensity(value);
+                    attributes[k] = self.attribute_from_intensity(&self.saved.table.attributes[k], value);
                 }
                 _ if value.abs() < 1e-6 => {}
                 _ => unknown.push(unit),
@@ -98,73 +98,71 @@ impl Avatar {
         ((camera.intrinsics.fx / self.saved.default_camera.fx + 0.1) as u32).clamp(1, 16)
     }
 
-    /// The picture of `camera`, rendered no finer than the images that were fitted and enlarged to the asked size:
-    /// the field holds no detail beyond them, and every skipped pixel is time saved.
-    pub fn picture(
-        &self,
-        camera: &Camera,
-        attributes: &[f32],
-        full: bool,
-        reporter: &dyn Reporter,
-    ) -> Result<RgbImage> {
-        let reduce = if full { 1 } else { self.spare_resolution(camera) };
-        let rgb = self.render(&camera.reduced(reduce), attributes, reporter)?.rgb;
-        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        if rgb.dimensions() == (width, height) {
-            return Ok(rgb);
+    /// The attribute of an intensity 0–5 by `spec`'s range, as this avatar knows it.
+    pub fn attribute_from_intensity(&self, spec: &AttributeSpec, intensity: f32) -> f32 {
+        match &self.saved.field {
+            SavedField::Brick(brick) if brick.uncapped => spec.uncapped_attribute_from_intensity(intensity),
+            _ => spec.attribute_from_intensity(intensity),
         }
-        Ok(image::imageops::resize(&rgb, width, height, image::imageops::FilterType::CatmullRom))
+    }
+
+    pub(crate) fn brick(&self) -> Option<(&Brick, Option<&Plate>)> {
+        match &self.field {
+            Fitted::Brick { model, plate } => Some((model, plate.as_ref())),
+            Fitted::Confies { .. } => None,
+        }
+    }
+
+    /// The pixels of `camera` that show the avatar, with their rays, tile by tile: neighbours meet the same bricks.
+    pub(crate) fn wanted(&self, camera: &Camera) -> Vec<Wanted> {
+        const TILE: usize = 16;
+        let (width, height) = (camera.intrinsics.width as usize, camera.intrinsics.height as usize);
+        let outline = self.saved.head_hull_in_world.as_ref().map(|hull| Outline::of(hull, camera));
+        let mut wanted = Vec::with_capacity(width * height);
+        for tile in 0..width.div_ceil(TILE) * height.div_ceil(TILE) {
+            let (left, top) = (tile % width.div_ceil(TILE) * TILE, tile / width.div_ceil(TILE) * TILE);
+            for y in top..(top + TILE).min(height) {
+                for x in left..(left + TILE).min(width) {
+                    let p = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                    if outline.as_ref().is_some_and(|o| !o.contains(p)) {
+                        continue;
+                    }
+                    if let Some(direction) = camera.ray_direction(p) {
+                        wanted.push((y * width + x, direction.as_vec3()));
+                    }
+                }
+            }
+        }
+        wanted
     }
 
     /// Renders `camera` with the attributes (−1..1, K of them), every pixel.
     pub fn render(&self, camera: &Camera, attributes: &[f32], reporter: &dyn Reporter) -> Result<Render> {
-        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        let count = width as usize * height as usize;
-        let outline = self.saved.head_hull_in_world.as_ref().map(|hull| Outline::of(hull, camera));
-        let mut wanted = Vec::with_capacity(count);
-        for pixel in 0..count {
-            let p = DVec2::new((pixel % width as usize) as f64 + 0.5, (pixel / width as usize) as f64 + 0.5);
-            if outline.as_ref().is_some_and(|o| !o.contains(p)) {
-                continue;
-            }
-            if let Some(direction) = camera.ray_direction(p) {
-                wanted.push((pixel, direction.as_vec3()));
-            }
-        }
-        let mut picture = Render {
-            rgb: RgbImage::from_pixel(width, height, image::Rgb(BACKDROP)),
-            masks: vec![vec![0.0; count]; self.saved.table.regions.len()],
-            depth: vec![0.0; count],
-        };
-        match &self.field {
-            Fitted::Confies { saved, model, device } => {
-                let networks = Networks { saved, model, device, neutral_frame: self.saved.neutral_frame };
-                networks.render(camera, attributes, &wanted, &mut picture, reporter)?;
-            }
-            Fitted::Brick { model, plate } => {
-                if let Some(plate) = plate {
-                    plate.paint(&mut picture.rgb);
-                }
-                render_brick(model, camera, attributes, &wanted, &mut picture);
-            }
-        }
-        Ok(picture)
+        Studio::new(self, Look::default()).render(camera, attributes, reporter)
+    }
+
+    pub(crate) fn render_networks(
+        &self,
+        camera: &Camera,
+        attributes: &[f32],
+        reporter: &dyn Reporter,
+    ) -> Result<Option<Render>> {
+        let Fitted::Confies { saved, model, device } = &self.field else { return Ok(None) };
+        let mut picture = Render::empty(camera, self.saved.table.regions.len());
+        let networks = Networks { saved, model, device, neutral_frame: self.saved.neutral_frame };
+        networks.render(camera, attributes, &self.wanted(camera), &mut picture, reporter)?;
+        Ok(Some(picture))
     }
 }
 
-/// The brick field's rays, over what the picture already shows.
-fn render_brick(model: &Brick, camera: &Camera, attributes: &[f32], wanted: &[Wanted], picture: &mut Render) {
-    let face = Face::new(model, attributes);
-    let directions: Vec<[f32; 3]> = wanted.iter().map(|(_, d)| d.to_array()).collect();
-    let shown = face.render(camera.center().as_vec3().to_array(), &directions);
-    for ((pixel, _), shown) in wanted.iter().zip(shown) {
-        for (byte, color) in picture.rgb.as_mut()[pixel * 3..pixel * 3 + 3].iter_mut().zip(shown.color) {
-            let value = color + shown.left * f32::from(*byte) / 255.0;
-            *byte = (value.clamp(0.0, 1.0) * 255.0).round() as u8;
-        }
-        picture.depth[*pixel] = shown.depth;
-        for (mask, value) in picture.masks.iter_mut().zip(shown.masks) {
-            mask[*pixel] = value;
+impl Render {
+    pub(crate) fn empty(camera: &Camera, regions: usize) -> Self {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let count = width as usize * height as usize;
+        Self {
+            rgb: RgbImage::from_pixel(width, height, image::Rgb(BACKDROP)),
+            masks: vec![vec![0.0; count]; regions],
+            depth: vec![0.0; count],
         }
     }
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use rayon::prelude::*;
+use risorius_formats::intensities::Intensities;
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{self, Dataset, Extras};
 use risorius_formats::{AttributeSpec, AttributeTable, Camera, Reporter, hash};
@@ -28,6 +29,8 @@ pub struct TrainFrame {
     pub region_pixels: Vec<u32>,
     /// The attributes, −1..1; `None` when the frame has no annotation.
     pub attributes: Option<Vec<f32>>,
+    /// The same without eq. 1's cap at 1, where the dataset tells the intensities.
+    pub uncapped: Option<Vec<f32>>,
 }
 
 /// A dataset ready for fitting.
@@ -68,17 +71,20 @@ impl TrainData {
             return Err(fail("holds no training frames".to_owned(), "see `dataset verify`"));
         }
         let scale = if scale > 0 { scale } else { dataset.extras.as_ref().map_or(4, |e| e.default_scale) };
+        let intensities = Intensities::read(dir)?;
         reporter.stage("load", Some(dataset.train_ids.len() as u64));
         let frames = dataset
             .train_ids
             .par_iter()
             .map(|id| {
-                let frame = load_frame(dir, &dataset, &table, id, scale)?;
+                let mut frame = load_frame(dir, &dataset, &table, id, scale)?;
+                frame.uncapped = intensities.as_ref().and_then(|i| uncapped_of(i, &table, id));
                 reporter.advance(1);
                 Ok(frame)
             })
             .collect::<Result<Vec<_>>>()?;
-        let manifests = ["dataset.json", "metadata.json", "scene.json", "attributes.toml", "annotations.yml"];
+        let manifests =
+            ["dataset.json", "metadata.json", "scene.json", "attributes.toml", "annotations.yml", "intensities.csv"];
         let hashes: Vec<String> =
             manifests.iter().filter_map(|name| hash::sha256_of_file(dir.join(name)).ok()).collect();
         Ok(Self {
@@ -94,6 +100,11 @@ impl TrainData {
     /// Our additions to the dataset, where it is ours.
     pub fn extras(&self) -> Option<&Extras> {
         self.dataset.extras.as_ref()
+    }
+
+    /// Whether every annotated frame has attributes without eq. 1's cap.
+    pub fn is_uncapped(&self) -> bool {
+        self.frames.iter().all(|f| f.attributes.is_none() || f.uncapped.is_some())
     }
 
     /// Index of the most neutral frame: the one that the dataset names, else the smallest distance of its attributes
@@ -161,6 +172,7 @@ fn load_frame(dir: &Path, dataset: &Dataset, table: &AttributeTable, id: &str, s
         valid,
         region_pixels,
         attributes: attributes_of(dataset, table, id),
+        uncapped: None,
     })
 }
 
@@ -178,6 +190,19 @@ fn attributes_of(dataset: &Dataset, table: &AttributeTable, id: &str) -> Option<
         }
     }
     Some(attributes)
+}
+
+/// The attributes of a frame without eq. 1's cap; `None` where an active AU's intensity is not told.
+fn uncapped_of(intensities: &Intensities, table: &AttributeTable, id: &str) -> Option<Vec<f32>> {
+    let row = intensities.rows.get(id)?;
+    let of = |spec: &AttributeSpec| {
+        let column = intensities.units.iter().position(|&u| u == spec.unit);
+        match column.and_then(|c| row.get(c)) {
+            Some(&v) => Some(spec.uncapped_attribute_from_intensity(v)),
+            None => (!spec.active).then_some(-1.0),
+        }
+    };
+    table.attributes.iter().map(of).collect()
 }
 
 /// Annotations are sorted by frame by the reader of the folder.

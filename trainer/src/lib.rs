@@ -31,6 +31,7 @@ pub mod saved;
 pub mod schedule;
 pub mod se3;
 pub mod space;
+pub mod studio;
 pub mod volume;
 
 pub use avatar::Avatar;

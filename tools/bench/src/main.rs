@@ -4,15 +4,14 @@
 //! within one run. The capture's folder has the layout that `synth` writes.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Stdio};
-use std::time::Instant;
+use std::process::ExitCode;
 
 use clap::Parser;
+use risorius_bench::child;
 use risorius_console::{Common, CommonArgs, Console, Failure};
 use risorius_formats::FormatError;
 use serde::Serialize;
 use serde_json::Value;
-use wait4::Wait4 as _;
 
 /// Time, memory and error of every stage on one capture
 #[derive(Debug, Parser)]
@@ -166,35 +165,14 @@ impl Bench<'_> {
     ) -> Result<(), Failure> {
         let command = format!("{program} {}", args.join(" "));
         self.console.say(&command);
-        let here = std::env::current_exe().map_err(|e| FormatError::io("/proc/self/exe", "find", &e))?;
-        let started = Instant::now();
-        // A file, not a pipe: the child must never wait for this program to read.
-        let path = self.work.join("last.json");
-        let file = std::fs::File::create(&path).map_err(|e| FormatError::io(&path, "create", &e))?;
-        let mut child = Command::new(here.with_file_name(program))
-            .args(args)
-            .args(["--json", "-q"])
-            .stdout(Stdio::from(file))
-            .spawn()
-            .map_err(|e| {
-                FormatError::io(program, "start", &e)
-                    .with_hint("build everything with `cargo build --release --workspace`")
-            })?;
-        let used = child.wait4().map_err(|e| FormatError::io(program, "wait for", &e))?;
-        let wall_secs = started.elapsed().as_secs_f64();
-        let text = std::fs::read(&path).map_err(|e| FormatError::io(&path, "read", &e))?;
-        if !used.status.success() {
-            return Err(Failure::input(format!("`{command}` failed"))
-                .with_hint(String::from_utf8_lossy(&text).trim().to_owned()));
-        }
-        let document = serde_json::from_slice(&text).unwrap_or(Value::Null);
+        let run = child::run(program, args, self.work)?;
         self.rows.push(Row {
             stage,
             command,
-            wall_secs,
-            cpu_secs: used.rusage.utime.as_secs_f64() + used.rusage.stime.as_secs_f64(),
-            peak_mib: used.rusage.maxrss as f64 / (1024.0 * 1024.0),
-            error: words(&document),
+            wall_secs: run.wall_secs,
+            cpu_secs: run.cpu_secs,
+            peak_mib: run.peak_mib,
+            error: words(&run.document),
         });
         Ok(())
     }

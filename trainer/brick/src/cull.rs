@@ -12,14 +12,22 @@ use crate::fit::{Views, rng_for};
 use crate::lattice::EDGE;
 use crate::math;
 use crate::model::{Brick, Part, deformation};
-use crate::occupancy::{CELLS, COUNT, cell_position};
+use crate::occupancy::{CELLS, COUNT, WHOLE, cell_position};
 
 /// The threshold: this many times the mean density …
 const MEAN_SHARE: f32 = 1.5;
-/// … but at most this density.
+/// … but at most this density …
 const AT_MOST: f32 = 8.0;
+/// … and at most this share of the largest one: even fog must not vanish because no cell stands out of it.
+const MOST_OF_LARGEST: f32 = 0.5;
 /// A cell that never had more than this weight in a pixel is hidden or empty.
 const SEEN: f32 = 0.01;
+/// The stage from which single parts of cells are culled: surfaces are thin by then.
+const THIN: usize = 3;
+/// Steps from one look to the next, once a fit is under way.
+pub(crate) const EVERY: u64 = 16;
+/// Every so many looks the neighbours of what was seen stay as well.
+const WIDE_EVERY: u64 = 4;
 /// The first step that culls.
 const FIRST: u64 = 160;
 /// Until this step every cell is looked at each time.
@@ -53,27 +61,39 @@ pub(crate) fn update(
         for (cell, v) in seen {
             o.density[cell] = o.density[cell].max(v);
         }
-        for cell in 0..COUNT {
-            let decay = if in_region[cell] { 0.93 } else { 0.8 };
-            o.weight[cell] = (o.weight[cell] * decay).max(weights[part_index][cell]);
-        }
+        let rows = o.weight.par_chunks_exact_mut(8).zip(weights[part_index].par_chunks_exact(8));
+        rows.zip(&in_region).for_each(|((old, new), &in_region)| {
+            let decay = if in_region { 0.93 } else { 0.8 };
+            old.iter_mut().zip(new).for_each(|(old, &new)| *old = (*old * decay).max(new));
+        });
         if step < FIRST {
             continue;
         }
         let mean = o.density.iter().map(|&v| f64::from(v)).sum::<f64>() / COUNT as f64;
-        let threshold = (MEAN_SHARE * mean as f32).min(AT_MOST);
+        let largest = o.density.iter().copied().fold(0.0, f32::max);
+        let threshold = (MEAN_SHARE * mean as f32).min(AT_MOST).min(MOST_OF_LARGEST * largest);
         for cell in 0..COUNT {
-            o.bits[cell] = o.density[cell] > threshold;
+            o.bits[cell] = if o.density[cell] > threshold { WHOLE } else { 0 };
         }
         o.dilate();
-        if stage >= 1 {
-            for cell in 0..COUNT {
-                o.bits[cell] &= o.weight[cell] >= SEEN;
+        let dense = o.bits.clone();
+        if stage >= THIN {
+            // Now and then the parts around are looked into as well: a surface may have moved on.
+            o.keep_seen_parts(SEEN, (step / EVERY).is_multiple_of(WIDE_EVERY));
+        } else if stage >= 1 {
+            for (bits, weight) in o.bits.iter_mut().zip(o.weight.as_chunks::<8>().0) {
+                if weight.iter().all(|&w| w < SEEN) {
+                    *bits = 0;
+                }
             }
+        }
+        if o.bits.iter().all(|&b| b == 0) {
+            // Nothing was seen: a pixel may yet ask for what is here, and an empty grid could never answer.
+            o.bits = dense;
         }
         if part_index == 1 {
             // The two farthest layers stay: something is behind everything.
-            o.bits[..2 * CELLS * CELLS].fill(true);
+            o.bits[..2 * CELLS * CELLS].fill(WHOLE);
         }
         o.refresh();
     }
@@ -104,7 +124,7 @@ fn look(
     let mut out = Vec::new();
     let edge = 2.0 / CELLS as f32;
     for cell in (share..COUNT).step_by(8) {
-        if step >= THOROUGH && !part.occupancy.bits[cell] && rng.random_range(0..8) != 0 {
+        if step >= THOROUGH && part.occupancy.bits[cell] == 0 && rng.random_range(0..8) != 0 {
             continue;
         }
         let position = cell_position(cell);
@@ -154,7 +174,7 @@ pub(crate) fn allocate(part: &mut Part, rng: &mut impl Rng) {
         }
         let (vertices, bricks) = (part.field.levels[l].vertices, part.field.levels[l].bricks());
         for cell in 0..COUNT {
-            if !part.occupancy.bits[cell] {
+            if part.occupancy.bits[cell] == 0 {
                 continue;
             }
             let p = cell_position(cell);

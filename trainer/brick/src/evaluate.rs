@@ -107,6 +107,11 @@ impl Samples {
         self.middle[i * MIDDLE]
     }
 
+    /// Makes sample `i` show nothing.
+    pub fn silence(&mut self, i: usize) {
+        self.middle[i * MIDDLE] = -1e9;
+    }
+
     /// Raw colour of sample `i`.
     #[inline(always)]
     pub fn color(&self, i: usize) -> [f32; 3] {

@@ -36,7 +36,7 @@ pub struct Expression {
     pub lattice: Lattice,
     /// Region of each AU, then [`REST`] for each number of the latent code.
     pub region_of: Vec<usize>,
-    /// Slots of each region and of the rest, in the order of its tables' blocks.
+    /// Slots of each region and of the rest, ascending, in the order of its tables' blocks.
     pub slots_of: Vec<Vec<u32>>,
     /// Per vertex in memory: a bit per region whose hull holds it.
     pub allowed: Vec<u8>,
@@ -103,26 +103,23 @@ impl Expression {
 
     /// B for one image, `CHANNELS` numbers per vertex in memory.
     pub fn blend(&self, gates: &[f32], activations: &[f32], out: &mut Vec<f32>) {
-        out.clear();
         out.resize(self.lattice.slots * BRICK * CHANNELS, 0.0);
+        for (slot, brick) in out.chunks_exact_mut(BRICK * CHANNELS).enumerate() {
+            self.blend_slot(gates, activations, slot, brick);
+        }
+    }
+
+    /// B in one brick.
+    pub fn blend_slot(&self, gates: &[f32], activations: &[f32], slot: usize, out: &mut [f32]) {
+        out.fill(0.0);
+        let gates = &gates[slot * BRICK * MASKS..(slot + 1) * BRICK * MASKS];
+        let block_of: [Option<usize>; MASKS] =
+            std::array::from_fn(|n| self.slots_of[n].binary_search(&(slot as u32)).ok());
         for (k, (&a, table)) in activations.iter().zip(&self.residuals).enumerate() {
-            let n = self.region_of[k];
-            if a.abs() < QUIET {
-                continue;
-            }
-            for (block, &slot) in self.slots_of[n].iter().enumerate() {
-                if table.steps[block] == 0 {
-                    continue;
-                }
-                let from = slot as usize * BRICK;
-                simd::run(BlendBrick {
-                    a,
-                    region: n,
-                    out: &mut out[from * CHANNELS..(from + BRICK) * CHANNELS],
-                    residual: &table.values[block * BRICK * CHANNELS..(block + 1) * BRICK * CHANNELS],
-                    gates: &gates[from * MASKS..(from + BRICK) * MASKS],
-                });
-            }
+            let region = self.region_of[k];
+            let Some(block) = block_of[region].filter(|&b| a.abs() >= QUIET && table.steps[b] > 0) else { continue };
+            let residual = &table.values[block * BRICK * CHANNELS..(block + 1) * BRICK * CHANNELS];
+            simd::run(BlendBrick { a, region, out, residual, gates });
         }
     }
 

@@ -13,12 +13,16 @@ use crate::expression::{CHANNELS, MASKS};
 use crate::field::{FieldGrad, Transposed};
 use crate::lattice::BRICK;
 use crate::model::{Brick, LATENT, activation, deformation};
-use crate::occupancy::COUNT;
+use crate::occupancy::PART_COUNT;
 use crate::rays::{Look, Prior, Rays};
+use crate::skips::Skips;
 use crate::table::{Adam, Table, TableGrad};
 
 /// Rays that travel together: their samples' activations stay in the cache.
 const CHUNK: usize = 64;
+
+/// Samples that a ray takes at a time.
+const WAVE: usize = 8;
 
 /// A pixel to fit.
 #[derive(Clone, Copy, Debug, Default)]
@@ -85,6 +89,8 @@ pub struct Settings {
     pub refine_cameras: bool,
     /// Finest divisions of the head box and planes of the background.
     pub finest: [usize; 2],
+    /// What is left out.
+    pub skips: Skips,
 }
 
 impl Default for Settings {
@@ -108,6 +114,7 @@ impl Default for Settings {
             latent: true,
             refine_cameras: false,
             finest: [160, 160],
+            skips: Skips::default(),
         }
     }
 }
@@ -248,6 +255,9 @@ impl Fitter {
                 }
             }
             lane.end(&work);
+            if !work.settings.skips.untouched {
+                lane.touch_all();
+            }
         });
         let moves = work.moves;
         drop(work);
@@ -256,9 +266,9 @@ impl Fitter {
         self.finish_step()
     }
 
-    /// The largest weight per cell of head and background since occupancy was last decided; a checkpoint needs them.
+    /// The largest weight per part of head and background since occupancy was last decided; a checkpoint needs them.
     pub fn pending_weights(&mut self) -> [Vec<f32>; 2] {
-        let mut merged = [vec![0.0f32; COUNT], vec![0.0f32; COUNT]];
+        let mut merged = [vec![0.0f32; PART_COUNT], vec![0.0f32; PART_COUNT]];
         for lane in &self.lanes {
             for (sum, own) in merged.iter_mut().zip(&lane.weights) {
                 sum.iter_mut().zip(own).for_each(|(a, b)| *a = a.max(*b));
@@ -276,18 +286,19 @@ impl Fitter {
 
     /// How rays look at the scene at this stage.
     fn look(&self) -> Look {
-        let share = STAGES[self.progress.stage].0;
+        let share = if self.settings.skips.coarse_first { STAGES[self.progress.stage].0 } else { 1.0 };
         let of = |n: usize| ((n as f32 * share) as usize).max(16);
         Look {
             divisions: of(self.settings.finest[0]),
             planes: of(self.settings.finest[1]),
-            opaque: 1e-4,
-            background: true,
+            opaque: if self.settings.skips.hidden { 1e-4 } else { 0.0 },
+            wave: WAVE,
+            everywhere: false,
         }
     }
 
     fn begin_step(&mut self) {
-        let Self { model, progress, .. } = self;
+        let Self { model, progress, settings, .. } = self;
         progress.step += 1;
         progress.stage_steps += 1;
         let (_, _, sparse_enough, at_most) = STAGES[progress.stage];
@@ -300,7 +311,10 @@ impl Fitter {
         if live == 6 && progress.stage_steps < 1500 {
             live = 5;
         }
-        let mut rng = rng_for(self.settings.seed, progress.step, 1);
+        if !settings.skips.coarse_first {
+            live = crate::field::LEVELS;
+        }
+        let mut rng = rng_for(settings.seed, progress.step, 1);
         for part in [Some(&mut model.head), model.background.as_mut()].into_iter().flatten() {
             let live = live.min(part.field.levels.len());
             if live != part.field.live || progress.step % 64 == 0 {
@@ -366,10 +380,13 @@ impl Fitter {
 
     fn update_occupancy(&mut self, views: &impl Views) {
         let Progress { step, stage, .. } = self.progress;
-        if step <= 96 || !(step % 16 == 0 || (step < 400 && step % 8 == 0)) {
+        if !self.settings.skips.empty_space
+            || step <= 96
+            || !(step.is_multiple_of(crate::cull::EVERY) || (step < 400 && step.is_multiple_of(8)))
+        {
             return;
         }
-        let mut weights = [vec![0.0f32; COUNT], vec![0.0f32; COUNT]];
+        let mut weights = [vec![0.0f32; PART_COUNT], vec![0.0f32; PART_COUNT]];
         for lane in &mut self.lanes {
             for (sum, own) in weights.iter_mut().zip(&mut lane.weights) {
                 for (a, b) in sum.iter_mut().zip(own.iter_mut()) {
@@ -523,7 +540,7 @@ impl Lane {
         self.d_blend.resize(slots * BRICK * CHANNELS, 0.0);
         self.d_latent.resize(model.latent_lattice.slots * BRICK * 4, 0.0);
         for w in &mut self.weights {
-            w.resize(COUNT, 0.0);
+            w.resize(PART_COUNT, 0.0);
         }
         self.numbers = Totals::default();
     }
@@ -640,6 +657,12 @@ impl Lane {
         self.d_latent.fill(0.0);
     }
 
+    /// Marks every brick of the grids as touched, so that all are updated.
+    fn touch_all(&mut self) {
+        let grids = self.head.features.iter_mut().chain(&mut self.background.features).chain(&mut self.residuals);
+        grids.for_each(|g| g.touched.fill(true));
+    }
+
     /// Passes the masks' gradients from the vertices' masks on to their logits.
     fn end(&mut self, work: &Work<'_>) {
         let masks = &work.model.expression.masks;
@@ -706,3 +729,7 @@ fn losses(
         .collect();
     (d_color, Some(d_masks))
 }
+
+#[cfg(test)]
+#[path = "fit_tests.rs"]
+mod tests;

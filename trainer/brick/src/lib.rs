@@ -12,11 +12,13 @@
 //!
 //! Lengths are world units outside and the head box's [−1, 1]³ inside; colours are 0–1; attributes −1..1.
 
+mod bake;
 pub mod cull;
 pub mod evaluate;
 pub mod expression;
 pub mod field;
 pub mod fit;
+pub mod floor;
 pub mod lattice;
 pub mod math;
 mod matmul;
@@ -26,7 +28,9 @@ mod rays;
 pub mod reference;
 pub mod render;
 pub mod simd;
+pub mod skips;
 pub mod table;
 
 pub use fit::{Fitter, Pixel, Progress, Settings, StepNumbers, Views};
 pub use model::{BackgroundFrame, Brick, HeadBox, Layout};
+pub use skips::Skips;

@@ -50,3 +50,33 @@ pub fn rotate(w: [f32; 3], p: [f32; 3]) -> [f32; 3] {
     let wwp = cross(w, wp);
     std::array::from_fn(|i| p[i] + a * wp[i] + b * wwp[i])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exp_and_density_stay_finite_and_right() {
+        for x in [-87.0f32, -3.2, -0.4, 0.0, 0.1, 1.0, 7.7, 80.0] {
+            let expected = f64::from(x).exp();
+            assert!((f64::from(exp(x)) / expected - 1.0).abs() < 1e-5, "{x}: {}", exp(x));
+        }
+        for raw in [f32::MIN, -1e9, 0.0, 9.0, 88.0, 1e9, f32::MAX, f32::INFINITY, f32::NEG_INFINITY] {
+            let d = density(raw);
+            assert!(d.is_finite() && d >= 0.0, "{raw}: {d}");
+            assert!((0.0..=1.0).contains(&sigmoid(raw)), "{raw}");
+        }
+        assert!(density(-1e9) < 1e-30);
+    }
+
+    #[test]
+    fn turning_keeps_lengths_and_undoes_itself() {
+        let p = [0.3, -1.2, 0.7];
+        for w in [[0.0; 3], [1e-6, 0.0, 0.0], [0.02, -0.5, 0.3], [3.0, 1.0, -2.0]] {
+            let q = rotate(w, p);
+            assert!((dot(q, q) - dot(p, p)).abs() < 1e-5);
+            let back = rotate(w.map(|v| -v), q);
+            assert!((0..3).all(|a| (back[a] - p[a]).abs() < 1e-5), "{w:?}");
+        }
+    }
+}

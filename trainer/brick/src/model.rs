@@ -8,7 +8,7 @@ use crate::evaluate::Deformation;
 use crate::expression::Expression;
 use crate::field::Field;
 use crate::lattice::{BRICK, Lattice};
-use crate::math::dot;
+use crate::math::{dot, rotate};
 use crate::occupancy::{March, Occupancy, crossing};
 use crate::table::Table;
 
@@ -44,22 +44,36 @@ pub struct BackgroundFrame {
 }
 
 impl BackgroundFrame {
-    /// A world ray as a march through the frame's box: x and y bend with depth, so points are made by [`Self::point`].
-    /// Gives where on the ray disparity `s` (+1 near … −1 far) is met.
+    /// A ray in the frame's camera as a march through the frame's box, from its nearest plane to its farthest; `None`
+    /// for rays that look away from it.
+    ///
+    /// Dividing by the depth turns lines into lines: with d = 1/depth, x/depth is linear in d along a ray.
     #[inline(always)]
-    pub fn point(&self, origin: [f32; 3], direction: [f32; 3], s: f32) -> [f32; 3] {
-        let (near, far) = (1.0 / self.near, 1.0 / self.far);
-        let disparity = (near + far) * 0.5 + s * (near - far) * 0.5;
-        let t = (1.0 / disparity - origin[2]) / direction[2];
-        let x = (origin[0] + t * direction[0]) * disparity;
-        let y = (origin[1] + t * direction[1]) * disparity;
-        [(x - self.middle[0]) / self.extent[0], (y - self.middle[1]) / self.extent[1], s]
+    pub fn march(&self, origin: [f32; 3], direction: [f32; 3], planes: usize, jitter: f32) -> Option<March> {
+        if direction[2] <= 0.05 {
+            return None;
+        }
+        let at = |disparity: f32, s: f32| {
+            let slope = [direction[0] / direction[2], direction[1] / direction[2]];
+            let x = |a: usize| slope[a] + disparity * (origin[a] - origin[2] * slope[a]);
+            [(x(0) - self.middle[0]) / self.extent[0], (x(1) - self.middle[1]) / self.extent[1], s]
+        };
+        let (near, far) = (at(1.0 / self.near, 1.0), at(1.0 / self.far, -1.0));
+        let along = std::array::from_fn(|a| (far[a] - near[a]) * 0.5);
+        let step = 2.0 / planes as f32;
+        Some(March::new(near, along, jitter * step, 2.0, step))
     }
 
     /// A point of the world in the frame's camera.
     pub fn camera_from_world(&self, p: [f32; 3]) -> [f32; 3] {
         let d = std::array::from_fn(|a| p[a] - self.position[a]);
         self.turn(d)
+    }
+
+    /// The direction (unit, world) in which the mean camera sees a point of the frame's box.
+    pub fn seen(&self, p: [f32; 3]) -> [f32; 3] {
+        let slope = [p[0] * self.extent[0] + self.middle[0], p[1] * self.extent[1] + self.middle[1], 1.0];
+        unit(std::array::from_fn(|a| (0..3).map(|row| slope[row] * self.axes[row][a]).sum()))
     }
 
     /// A direction of the world in the frame's camera.
@@ -193,14 +207,39 @@ impl Brick {
         }
     }
 
-    /// A world ray through the head box; `t` counts world units.
-    pub fn head_march(&self, origin: [f32; 3], direction: [f32; 3], divisions: usize, jitter: f32) -> March {
+    /// The direction (unit, world) in which `eye` (world) sees a point of the head box.
+    pub fn seen_in_head(&self, eye: [f32; 3], p: [f32; 3]) -> [f32; 3] {
         let HeadBox { center, half } = self.layout.head_box;
-        let origin = std::array::from_fn(|a| (origin[a] - center[a]) / half);
+        unit(std::array::from_fn(|a| center[a] + p[a] * half - eye[a]))
+    }
+
+    /// A world ray through the head box, after a small turn and shift of its camera; `t` counts box units.
+    pub fn head_march(
+        &self,
+        origin: [f32; 3],
+        direction: [f32; 3],
+        motion: Option<&[f32]>,
+        divisions: usize,
+        jitter: f32,
+    ) -> March {
+        let HeadBox { center, half } = self.layout.head_box;
+        let mut origin: [f32; 3] = std::array::from_fn(|a| (origin[a] - center[a]) / half);
+        let mut direction = direction;
+        if let Some(m) = motion {
+            let turn = [m[0], m[1], m[2]];
+            let turned = rotate(turn, origin);
+            origin = std::array::from_fn(|a| turned[a] + m[3 + a]);
+            direction = rotate(turn, direction);
+        }
         let (enter, exit) = crossing(origin, direction);
         let step = 2.0 / divisions as f32;
-        March { origin, direction, t: enter + jitter * step, exit, step }
+        March::new(origin, direction, enter + jitter * step, exit, step)
     }
+}
+
+fn unit(v: [f32; 3]) -> [f32; 3] {
+    let length = dot(v, v).sqrt();
+    if length > 0.0 { v.map(|x| x / length) } else { [0.0, 0.0, 1.0] }
 }
 
 /// How strongly an AU acts at attribute α (−1..1): 0 at the AU's least, 1 at its most.

@@ -9,11 +9,8 @@ use crate::expression::MASKS;
 use crate::field::{Field, FieldGrad, Transposed, monomials};
 use crate::math;
 use crate::model::{BackgroundFrame, Brick, Part};
-use crate::occupancy::{March, Occupancy, cell_at};
+use crate::occupancy::{March, Occupancy, part_at};
 use crate::simd::{self, Simd, Task};
-
-/// Samples a ray takes per wave.
-const WAVE: usize = 8;
 
 /// What one part of the scene has along each ray.
 #[derive(Clone, Debug, Default)]
@@ -63,16 +60,10 @@ pub(crate) struct Rays {
     pub(crate) masks: Vec<[f32; MASKS]>,
     /// Σ weight · distance along the ray, and Σ weight, of the head.
     pub(crate) depth: Vec<[f32; 2]>,
+    /// A bit for each region that has a mask at some sample of the ray.
+    pub(crate) touched: Vec<u8>,
     marches: Vec<March>,
-    planes: Vec<Plane>,
     behind: Vec<Behind>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Plane {
-    origin: [f32; 3],
-    direction: [f32; 3],
-    next: f32,
 }
 
 /// How a chunk is looked at.
@@ -82,10 +73,19 @@ pub(crate) struct Look {
     pub(crate) divisions: usize,
     /// Planes of the background.
     pub(crate) planes: usize,
-    /// A ray whose transmittance falls below this is over.
+    /// A ray whose transmittance falls below this is over; 0 follows rays to their ends.
     pub(crate) opaque: f32,
-    /// Whether the background is looked at.
-    pub(crate) background: bool,
+    /// Samples a ray takes at a time: few waste little behind the first surface, many go through the network together.
+    pub(crate) wave: usize,
+    /// Whether samples are also taken where nothing is, for measuring what their absence saves. They show nothing.
+    pub(crate) everywhere: bool,
+}
+
+impl Look {
+    /// The background is looked at behind a head that lets more than this through.
+    fn background_from(&self) -> f32 {
+        if self.opaque > 0.0 { BACKGROUND_FROM } else { -1.0 }
+    }
 }
 
 impl Pass {
@@ -97,6 +97,15 @@ impl Pass {
         self.color.clear();
         self.along.clear();
         self.alive.clear();
+    }
+
+    /// Takes the density from samples where nothing is.
+    fn silence(&mut self, from: usize, occupancy: &Occupancy) {
+        for i in from..self.samples.len() {
+            if !occupancy.holds(self.samples.point[i]) {
+                self.samples.silence(i);
+            }
+        }
     }
 
     /// Composites the samples from `from` on.
@@ -162,11 +171,11 @@ impl Pass {
         }
     }
 
-    /// The largest weight of any ray, per cell.
+    /// The largest weight of any ray, per part of a cell.
     pub(crate) fn weigh(&self, weights: &mut [f32]) {
         for (i, &p) in self.samples.point.iter().enumerate() {
             let w = self.before[i] * self.alpha[i];
-            let slot = &mut weights[cell_at(p)];
+            let slot = &mut weights[part_at(p)];
             if w > *slot {
                 *slot = w;
             }
@@ -201,12 +210,74 @@ impl Rays {
         self.masks.resize(n, [0.0; MASKS]);
         self.depth.clear();
         self.depth.resize(n, [0.0; 2]);
+        self.touched.clear();
+        self.touched.resize(n, 0);
         self.head.begin(directions);
         self.background.begin(directions);
-        simd::run(HeadMarch { rays: self, model, deformation, motion, origin, directions, jitter: &mut jitter, look });
-        if let (Some(part), Some(frame), true) = (&model.background, &model.layout.background, look.background) {
-            simd::run(BackgroundMarch { rays: self, part, frame, origin, directions, jitter: &mut jitter, look });
+        self.send_through_head(model, deformation, motion, origin, directions, &mut jitter, look);
+        if let (Some(part), Some(frame)) = (&model.background, &model.layout.background) {
+            self.send_through_background(part, frame, origin, directions, &mut jitter, look);
         }
+    }
+
+    #[allow(clippy::too_many_arguments, reason = "one call site")]
+    fn send_through_head(
+        &mut self,
+        model: &Brick,
+        deformation: &Deformation<'_>,
+        motion: Option<&[f32]>,
+        origin: [f32; 3],
+        directions: &[[f32; 3]],
+        jitter: &mut impl FnMut() -> f32,
+        look: Look,
+    ) {
+        let Self { head, color, left, masks, depth, touched, marches, .. } = self;
+        marches.clear();
+        for (ray, &direction) in (0u32..).zip(directions) {
+            let march = model.head_march(origin, direction, motion, look.divisions, jitter());
+            if march.t < march.exit {
+                head.alive.push(ray);
+            }
+            marches.push(march);
+        }
+        let (part, step) = (&model.head, 2.0 / look.divisions as f32);
+        simd::run(Through { pass: head, marches, part, deformation: Some(deformation), step, look, left, color });
+        let half = model.layout.head_box.half;
+        for i in 0..head.samples.len() {
+            if head.alpha[i] < 0.0 {
+                continue;
+            }
+            let (ray, found) = (head.samples.ray[i] as usize, head.samples.masks[i]);
+            let w = head.before[i] * head.alpha[i];
+            for (n, (sum, m)) in masks[ray].iter_mut().zip(found).enumerate() {
+                *sum += w * m;
+                touched[ray] |= u8::from(m > 0.0) << n;
+            }
+            depth[ray] = [depth[ray][0] + w * head.along[i] * half, depth[ray][1] + w];
+        }
+    }
+
+    fn send_through_background(
+        &mut self,
+        part: &Part,
+        frame: &BackgroundFrame,
+        origin: [f32; 3],
+        directions: &[[f32; 3]],
+        jitter: &mut impl FnMut() -> f32,
+        look: Look,
+    ) {
+        let Self { background, color, left, marches, .. } = self;
+        let from_camera = frame.camera_from_world(origin);
+        marches.clear();
+        for (ray, &direction) in (0u32..).zip(directions) {
+            let march = frame.march(from_camera, frame.turn(direction), look.planes, jitter());
+            if march.is_some() && left[ray as usize] > look.background_from() {
+                background.alive.push(ray);
+            }
+            marches.push(march.unwrap_or_else(|| March::new([0.0; 3], [0.0; 3], 0.0, 0.0, 1.0)));
+        }
+        let step = 2.0 / look.planes as f32;
+        simd::run(Through { pass: background, marches, part, deformation: None, step, look, left, color });
     }
 
     /// The way back: `d_color` per ray, `d_masks` per ray; `behind` is the colour behind everything.
@@ -252,136 +323,47 @@ impl Rays {
     }
 }
 
-/// The head's part of [`Rays::forward`].
-struct HeadMarch<'a, J> {
-    rays: &'a mut Rays,
-    model: &'a Brick,
-    deformation: &'a Deformation<'a>,
-    motion: Option<&'a [f32]>,
-    origin: [f32; 3],
-    directions: &'a [[f32; 3]],
-    jitter: &'a mut J,
-    look: Look,
-}
-
-impl<J: FnMut() -> f32> Task for HeadMarch<'_, J> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<S: Simd>(self) {
-        let Self { rays, model, deformation, motion, origin, directions, jitter, look } = self;
-        let Rays { head, color, left, masks, depth, marches, .. } = rays;
-        let half = model.layout.head_box.half;
-        marches.clear();
-        for (ray, &direction) in directions.iter().enumerate() {
-            let mut march = model.head_march(origin, direction, look.divisions, 0.0);
-            if let Some(m) = motion {
-                let turn = [m[0], m[1], m[2]];
-                let turned = math::rotate(turn, march.origin);
-                march.origin = std::array::from_fn(|a| turned[a] + m[3 + a]);
-                march.direction = math::rotate(turn, march.direction);
-                (march.t, march.exit) = crate::occupancy::crossing(march.origin, march.direction);
-            }
-            march.t += jitter() * march.step;
-            if march.t < march.exit {
-                head.alive.push(ray as u32);
-            }
-            marches.push(march);
-        }
-        let step = 2.0 / look.divisions as f32;
-        let occupancy: &Occupancy = &model.head.occupancy;
-        while !head.alive.is_empty() {
-            let from = head.samples.len();
-            let Samples { point, ray: rays, .. } = &mut head.samples;
-            head.alive.retain(|&ray| {
-                if left[ray as usize] < look.opaque {
-                    return false;
-                }
-                occupancy.advance(&mut marches[ray as usize], WAVE, |p| {
-                    point.push(p);
-                    rays.push(ray);
-                })
-            });
-            head.samples.forward(&model.head.field, Some(deformation), from);
-            head.composite(from, step, look.opaque, left, color);
-            for i in from..head.samples.len() {
-                let ray = head.samples.ray[i] as usize;
-                let w = head.before[i] * head.alpha[i];
-                let (p, march) = (head.samples.point[i], &marches[ray]);
-                let t = math::dot(
-                    [p[0] - march.origin[0], p[1] - march.origin[1], p[2] - march.origin[2]],
-                    march.direction,
-                );
-                head.along.push(t);
-                if w > 0.0 {
-                    for (sum, m) in masks[ray].iter_mut().zip(head.samples.masks[i]) {
-                        *sum += w * m;
-                    }
-                    depth[ray][0] += w * t * half;
-                    depth[ray][1] += w;
-                }
-            }
-        }
-    }
-}
-
-/// The background's part of [`Rays::forward`].
-struct BackgroundMarch<'a, J> {
-    rays: &'a mut Rays,
+/// One part of [`Rays::forward`].
+struct Through<'a> {
+    pass: &'a mut Pass,
+    marches: &'a mut [March],
     part: &'a Part,
-    frame: &'a BackgroundFrame,
-    origin: [f32; 3],
-    directions: &'a [[f32; 3]],
-    jitter: &'a mut J,
+    deformation: Option<&'a Deformation<'a>>,
+    step: f32,
     look: Look,
+    left: &'a mut [f32],
+    color: &'a mut [[f32; 3]],
 }
 
-impl<J: FnMut() -> f32> Task for BackgroundMarch<'_, J> {
+impl Task for Through<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self) {
-        let Self { rays, part, frame, origin, directions, jitter, look } = self;
-        let Rays { background, color, left, planes, .. } = rays;
-        let from_camera = frame.camera_from_world(origin);
-        let step = 2.0 / look.planes as f32;
-        planes.clear();
-        for (ray, &d) in directions.iter().enumerate() {
-            let direction = frame.turn(d);
-            planes.push(Plane { origin: from_camera, direction, next: jitter() });
-            // Rays that look away from the frame meet none of its planes.
-            if left[ray] > BACKGROUND_FROM && direction[2] > 0.05 {
-                background.alive.push(ray as u32);
-            }
-        }
-        while !background.alive.is_empty() {
-            let from = background.samples.len();
-            let Samples { point, ray: rays, .. } = &mut background.samples;
-            background.alive.retain(|&ray| {
+        let Self { pass, marches, part, deformation, step, look, left, color } = self;
+        let occupancy: &Occupancy = &part.occupancy;
+        while !pass.alive.is_empty() {
+            let from = pass.samples.len();
+            let Pass { samples, along, alive, .. } = &mut *pass;
+            alive.retain(|&ray| {
                 if left[ray as usize] < look.opaque {
                     return false;
                 }
-                let plane = &mut planes[ray as usize];
-                let mut found = 0;
-                while plane.next < look.planes as f32 {
-                    let p = frame.point(plane.origin, plane.direction, 1.0 - plane.next * step);
-                    if part.occupancy.bits[cell_at(p)] {
-                        if found == WAVE {
-                            return true;
-                        }
-                        point.push(p);
-                        rays.push(ray);
-                        found += 1;
-                    }
-                    plane.next += 1.0;
+                let march = &mut marches[ray as usize];
+                for _ in 0..look.wave {
+                    let found = if look.everywhere { march.next_anywhere() } else { occupancy.next(march) };
+                    let Some((p, t)) = found else { return false };
+                    samples.point.push(p);
+                    samples.ray.push(ray);
+                    along.push(t);
                 }
-                false
+                true
             });
-            background.samples.forward(&part.field, None, from);
-            background.composite(from, step, look.opaque, left, color);
-            // Nearness falls from +1: minus it grows along the ray.
-            let Pass { samples, along, .. } = &mut *background;
-            along.extend(samples.point[from..].iter().map(|p| -p[2]));
+            pass.samples.forward(&part.field, deformation, from);
+            if look.everywhere {
+                pass.silence(from, occupancy);
+            }
+            pass.composite(from, step, look.opaque, left, color);
         }
     }
 }
@@ -406,7 +388,7 @@ impl Task for Decomposite<'_> {
 }
 
 /// Behind a head that lets less than this through, the background is not looked at.
-const BACKGROUND_FROM: f32 = 2e-3;
+const BACKGROUND_FROM: f32 = 1.0 / 600.0;
 
 #[cfg(test)]
 #[path = "rays_tests.rs"]

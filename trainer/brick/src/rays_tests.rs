@@ -5,6 +5,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::expression::CHANNELS;
+use crate::field::{LAYER, MIDDLE};
 use crate::lattice::BRICK;
 use crate::model::{HeadBox, LATENT, Layout, deformation};
 use crate::reference::{Twin, Which};
@@ -54,7 +55,7 @@ fn lively(background: bool) -> Brick {
 }
 
 const ACTIVATIONS: [f32; 2 + LATENT] = [0.7, 0.4, 0.3, -0.2, 0.1, 0.2, -0.3, 0.15, 0.05, -0.1];
-const LOOK: Look = Look { divisions: 24, planes: 20, opaque: 1e-4, background: true };
+const LOOK: Look = Look { divisions: 24, planes: 20, opaque: 1e-4, wave: 8, everywhere: false };
 
 fn directions(count: usize) -> Vec<[f32; 3]> {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
@@ -98,7 +99,12 @@ fn rays_show_what_their_twin_shows() {
     let mut model = lively(true);
     // Some cells are empty, so that the march skips.
     for cell in 0..model.head.occupancy.bits.len() {
-        model.head.occupancy.bits[cell] = cell % 7 != 0 && cell / 4096 % 5 != 0;
+        model.head.occupancy.bits[cell] = match cell % 7 {
+            _ if cell / 4096 % 5 == 0 => 0,
+            0 => 0,
+            1 => 0b0110_1011,
+            _ => 0xff,
+        };
     }
     model.head.occupancy.refresh();
     let p = prepare(&model);
@@ -339,4 +345,48 @@ fn an_au_leaves_rays_that_miss_its_region_bit_identical() {
         }
     }
     assert!(same >= 5 && other >= 5, "{same} rays beside the region, {other} that changed");
+}
+
+/// Samples where nothing is show nothing, and what is behind an opaque surface shows less than half a step of 8 bits:
+/// with and without the skips the picture is the same to 1/512.
+#[test]
+fn skips_change_no_pixel_by_more_than_a_512th() {
+    let mut model = lively(true);
+    for part in [Some(&mut model.head), model.background.as_mut()].into_iter().flatten() {
+        for cell in 0..part.occupancy.bits.len() {
+            part.occupancy.bits[cell] = if cell % 5 < 2 { 0b1101_0110 } else { 0 };
+        }
+        part.occupancy.refresh();
+        // Denser than it was born: rays have to end.
+        for row in part.field.net.values[LAYER[1]..LAYER[2]].chunks_exact_mut(MIDDLE) {
+            row[0] *= 8.0;
+        }
+    }
+    let p = prepare(&model);
+    let d = deformation(&model, &p.blend, &p.gates, Some(&p.latent));
+    let directions = directions(256);
+    let opaque = 1.0 / 600.0;
+    let show = |look: Look| {
+        let mut rays = Rays::default();
+        rays.forward(&model, &d, None, ORIGIN, &directions, || 0.5, look);
+        let counts = rays.sample_counts();
+        (
+            rays.color.iter().zip(&rays.left).map(|(c, l)| [c[0], c[1], c[2], *l]).collect::<Vec<_>>(),
+            counts[0] + counts[1],
+        )
+    };
+    let (skipped, few) = show(Look { opaque, ..LOOK });
+    let mut ended = 0;
+    for look in [Look { opaque, everywhere: true, ..LOOK }, Look { opaque: 0.0, ..LOOK }] {
+        let (whole, many) = show(look);
+        assert!(many > few, "{many} samples without the skip, {few} with it");
+        for (r, (a, b)) in skipped.iter().zip(&whole).enumerate() {
+            ended += usize::from(a[3] < opaque);
+            let apart = (0..4).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max);
+            // A sample on the border of a part may fall to either side when the march strides over empty space.
+            let border = look.everywhere && apart < 0.2 && (r % 97 == 0 || apart < 1.0 / 512.0);
+            assert!(apart < 1.0 / 512.0 || border, "ray {r}: {apart}");
+        }
+    }
+    assert!(ended > 20, "only {ended} rays end");
 }

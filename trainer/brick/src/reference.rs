@@ -9,7 +9,6 @@ use crate::field::{COLOR_INPUT, EXPRESSION_AT, FEATURES, Field, HIDDEN, INPUT, L
 use crate::lattice::{BRICK, EDGE, Lattice};
 use crate::math::{DENSITY_CLAMP, DENSITY_SHIFT};
 use crate::model::{Brick, LATENT};
-use crate::occupancy::cell_at;
 
 /// A table of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -213,7 +212,7 @@ impl Twin<'_> {
         let head = self.head_samples(origin, world);
         let mut ray = Ray { color: [0.0; 3], left: 1.0, masks: [0.0; MASKS], spread: [0.0; 2] };
         ray.spread[0] = composite(&head, &mut ray, self.opaque);
-        if ray.left > 2e-3 {
+        if ray.left > 1.0 / 600.0 {
             let background = self.background_samples(origin, direction);
             ray.spread[1] = composite(&background, &mut ray, self.opaque);
         }
@@ -239,7 +238,7 @@ impl Twin<'_> {
         let mut t = enter + 0.5 * step;
         while t < exit {
             let p: V3 = std::array::from_fn(|a| start[a] + t * direction[a]);
-            if self.model.head.occupancy.bits[cell_at(p.map(|v| v as f32))] {
+            if self.model.head.occupancy.holds(p.map(|v| v as f32)) {
                 let (density, color, masks) = self.head_sample(p, world);
                 out.push(Seen { along: t, step, density, color, masks });
             }
@@ -256,15 +255,23 @@ impl Twin<'_> {
         if turned[2] <= 0.05 {
             return Vec::new();
         }
+        let (from, turned) = (from.map(f64::from), turned.map(f64::from));
+        let (near, far) = (1.0 / f64::from(frame.near), 1.0 / f64::from(frame.far));
         let step = 2.0 / self.planes as f64;
         (0..self.planes)
             .filter_map(|plane| {
+                // Where the ray meets the plane of this nearness, by the book.
                 let s = 1.0 - (plane as f64 + 0.5) * step;
-                let p = frame.point(from, turned, s as f32);
-                part.occupancy.bits[cell_at(p)].then(|| {
-                    let (density, color) =
-                        self.evaluate(false, &part.field, p.map(f64::from), [0.0; 5], direction.map(f64::from));
-                    Seen { along: -f64::from(p[2]), step, density, color, masks: [0.0; MASKS] }
+                let depth = 2.0 / ((near + far) + s * (near - far));
+                let t = (depth - from[2]) / turned[2];
+                let inside = |a: usize| {
+                    let slope = (from[a] + t * turned[a]) / depth;
+                    (slope - f64::from(frame.middle[a])) / f64::from(frame.extent[a])
+                };
+                let p = [inside(0), inside(1), s];
+                part.occupancy.holds(p.map(|v| v as f32)).then(|| {
+                    let (density, color) = self.evaluate(false, &part.field, p, [0.0; 5], direction.map(f64::from));
+                    Seen { along: -s, step, density, color, masks: [0.0; MASKS] }
                 })
             })
             .collect()

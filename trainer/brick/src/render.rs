@@ -2,14 +2,20 @@
 
 use rayon::prelude::*;
 
-use crate::expression::MASKS;
+use crate::bake::{Baked, Crossed};
+use crate::evaluate::Deformation;
+use crate::expression::{CHANNELS, MASKS};
+use crate::lattice::BRICK;
 use crate::model::{Brick, LATENT, activation, deformation};
 use crate::rays::{Look, Rays};
+use crate::skips::Skips;
 
 /// Rays that travel together.
 const CHUNK: usize = 256;
-/// A ray that lets less than this through is over: half a step of an 8-bit picture.
-const OPAQUE: f32 = 2e-3;
+/// Samples that a ray takes at a time: few, since most rays end at the first surface they meet.
+const WAVE: usize = 4;
+/// A ray that lets less than this through is over. No colour exceeds 1, so what is left out changes a pixel by less.
+const OPAQUE: f32 = 1.0 / 600.0;
 
 /// What a ray shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -22,53 +28,244 @@ pub struct Shown {
     pub masks: [f32; MASKS],
     /// Mean distance of the head along the ray, world units; 0 where it is not met.
     pub depth: f32,
+    /// A bit for each region whose AUs can change what the ray shows.
+    pub touched: u8,
 }
 
 /// The avatar in one expression.
 #[derive(Debug)]
 pub struct Face<'a> {
     model: &'a Brick,
+    activations: Vec<f32>,
     blend: Vec<f32>,
     gates: Vec<f32>,
     latent: Vec<f32>,
-    /// Whether the background is looked at.
-    pub background: bool,
+    /// What is left out.
+    pub skips: Skips,
 }
 
 impl<'a> Face<'a> {
-    /// The expression of attributes −1..1.
+    /// The expression of attributes, −1..1.
     pub fn new(model: &'a Brick, attributes: &[f32]) -> Self {
         let gates = model.expression.gates();
         let code = &model.codes.values[model.neutral_image * LATENT..(model.neutral_image + 1) * LATENT];
         let activations: Vec<f32> = attributes.iter().map(|&a| activation(a)).chain(code.iter().copied()).collect();
-        let (mut blend, mut latent) = (Vec::new(), Vec::new());
-        model.expression.blend(&gates, &activations, &mut blend);
+        let mut latent = Vec::new();
         model.latent_blend(code, &mut latent);
-        Self { model, blend, gates, latent, background: true }
+        let blend = vec![0.0; model.expression.lattice.slots * BRICK * CHANNELS];
+        let mut face = Self { model, activations, blend, gates, latent, skips: Skips::default() };
+        face.blend_again(|_| true);
+        face
+    }
+
+    /// Changes the expression; gives a bit for each region that changes with it.
+    pub fn edit(&mut self, attributes: &[f32]) -> u8 {
+        let mut changed = 0u8;
+        for (k, (&a, old)) in attributes.iter().zip(&mut self.activations).enumerate() {
+            let new = activation(a);
+            if new.to_bits() != old.to_bits() {
+                *old = new;
+                changed |= 1 << self.model.expression.region_of[k];
+            }
+        }
+        if changed != 0 {
+            let mut stale = vec![false; self.model.expression.lattice.slots];
+            for (n, slots) in self.model.expression.slots_of.iter().enumerate() {
+                if changed >> n & 1 == 1 {
+                    slots.iter().for_each(|&s| stale[s as usize] = true);
+                }
+            }
+            self.blend_again(|slot| stale[slot]);
+        }
+        changed
+    }
+
+    fn blend_again(&mut self, stale: impl Fn(usize) -> bool + Sync) {
+        let Self { model, activations, blend, gates, .. } = self;
+        blend.par_chunks_exact_mut(BRICK * CHANNELS).enumerate().filter(|(slot, _)| stale(*slot)).for_each(
+            |(slot, out)| {
+                model.expression.blend_slot(gates, activations, slot, out);
+            },
+        );
     }
 
     /// What rays from `origin` along `directions` (unit, world) show, in parallel.
     pub fn render(&self, origin: [f32; 3], directions: &[[f32; 3]]) -> Vec<Shown> {
-        let model = self.model;
-        let deformation = deformation(model, &self.blend, &self.gates, Some(&self.latent));
-        let look =
-            Look { divisions: model.divisions, planes: model.planes, opaque: OPAQUE, background: self.background };
         let mut out = vec![Shown::default(); directions.len()];
-        out.par_chunks_mut(CHUNK).zip(directions.par_chunks(CHUNK)).for_each_init(
-            Rays::default,
-            |rays, (out, directions)| {
-                rays.forward(model, &deformation, None, origin, directions, || 0.5, look);
-                for (r, out) in out.iter_mut().enumerate() {
-                    let [sum, weight] = rays.depth[r];
-                    *out = Shown {
-                        color: rays.color[r],
-                        left: rays.left[r],
-                        masks: rays.masks[r],
-                        depth: if weight > 0.5 { sum / weight } else { 0.0 },
-                    };
-                }
-            },
-        );
+        out.par_chunks_mut(CHUNK)
+            .zip(directions.par_chunks(CHUNK))
+            .for_each_init(Rays::default, |rays, (out, directions)| {
+                self.send(rays, origin, directions, |i, shown| out[i] = shown)
+            });
         out
     }
+
+    /// Brings a picture up to date after [`Self::edit`] named the regions that `changed`; gives the number of rays that
+    /// had to be sent. All others would show the same to the bit.
+    pub fn redraw(&self, origin: [f32; 3], directions: &[[f32; 3]], picture: &mut [Shown], changed: u8) -> usize {
+        let stale: Vec<usize> =
+            (0..picture.len()).filter(|&i| picture[i].touched & changed != 0 || !self.skips.unchanged).collect();
+        let wanted: Vec<[f32; 3]> = stale.iter().map(|&i| directions[i]).collect();
+        for (&i, shown) in stale.iter().zip(self.render(origin, &wanted)) {
+            picture[i] = shown;
+        }
+        stale.len()
+    }
+
+    fn deformation(&self) -> Deformation<'_> {
+        deformation(self.model, &self.blend, &self.gates, Some(&self.latent))
+    }
+
+    fn send(&self, rays: &mut Rays, origin: [f32; 3], directions: &[[f32; 3]], mut show: impl FnMut(usize, Shown)) {
+        let model = self.model;
+        let deformation = self.deformation();
+        let look = Look {
+            divisions: model.divisions,
+            planes: model.planes,
+            opaque: if self.skips.hidden { OPAQUE } else { 0.0 },
+            wave: WAVE,
+            everywhere: !self.skips.empty_space,
+        };
+        rays.forward(model, &deformation, None, origin, directions, || 0.5, look);
+        for r in 0..directions.len() {
+            let [sum, weight] = rays.depth[r];
+            let shown = Shown {
+                color: rays.color[r],
+                left: rays.left[r],
+                masks: rays.masks[r],
+                depth: if weight > 0.5 { sum / weight } else { 0.0 },
+                touched: rays.touched[r],
+            };
+            show(r, shown);
+        }
+    }
 }
+
+/// Vertices of the baked head along each edge, and of the baked background.
+const BAKED_HEAD: usize = 256;
+const BAKED_BACKGROUND: [usize; 3] = [512, 384, 64];
+/// An edit bakes again what it changes by more than this: features, and displacements in box units.
+const EDIT_TOLERANCE: [f32; 2] = [1e-3, 1e-4];
+
+/// The avatar baked for one expression: pictures from anywhere at many times the speed, with an error that is to be
+/// measured against [`Face`].
+#[derive(Debug)]
+pub struct BakedFace<'a> {
+    face: Face<'a>,
+    head: Baked,
+    background: Option<Baked>,
+    eye: [f32; 3],
+    /// Bricks that edits changed since the last picture was brought up to date.
+    stale: Vec<bool>,
+}
+
+/// A picture of a baked face that can be brought up to date after an edit.
+#[derive(Clone, Debug)]
+pub struct BakedPicture {
+    origin: [f32; 3],
+    directions: Vec<[f32; 3]>,
+    /// What each ray shows; without masks.
+    pub shown: Vec<Shown>,
+    crossed: Vec<Crossed>,
+}
+
+impl<'a> BakedFace<'a> {
+    /// Bakes the expression of attributes, −1..1, as seen from `eye` (world).
+    pub fn new(model: &'a Brick, attributes: &[f32], eye: [f32; 3]) -> Self {
+        let face = Face::new(model, attributes);
+        let head = Baked::new(&model.head, Some(&face.deformation()), [BAKED_HEAD; 3], |p| model.seen_in_head(eye, p));
+        let frames = model.background.as_ref().zip(model.layout.background.as_ref());
+        let background = frames.map(|(part, frame)| Baked::new(part, None, BAKED_BACKGROUND, |p| frame.seen(p)));
+        Self { face, head, background, eye, stale: Vec::new() }
+    }
+
+    /// Baked vertices of head and background.
+    pub fn vertices(&self) -> [usize; 2] {
+        [self.head.len(), self.background.as_ref().map_or(0, Baked::len)]
+    }
+
+    /// Changes the expression; bakes anew what changes with it.
+    pub fn edit(&mut self, attributes: &[f32]) {
+        let before = self.face.blend.clone();
+        if self.face.edit(attributes) == 0 {
+            return;
+        }
+        let model = self.face.model;
+        let changed: Vec<bool> = before
+            .as_chunks::<CHANNELS>()
+            .0
+            .iter()
+            .zip(self.face.blend.as_chunks::<CHANNELS>().0)
+            .map(|(a, b)| {
+                let apart = |c: usize| (a[c] - b[c]).abs();
+                [0, 1, 2, 3, 7].iter().any(|&c| apart(c) > EDIT_TOLERANCE[0])
+                    || (4..7).any(|c| apart(c) > EDIT_TOLERANCE[1])
+            })
+            .collect();
+        let lattice = &model.expression.lattice;
+        let stale = |p: [f32; 3]| lattice.corners(p).index.iter().any(|&i| changed[i as usize]);
+        let eye = self.eye;
+        let deformation = self.face.deformation();
+        let now = self.head.bake(&model.head.field, Some(&deformation), |p| model.seen_in_head(eye, p), stale);
+        self.stale.resize(now.len(), false);
+        self.stale.iter_mut().zip(now).for_each(|(old, new)| *old |= new);
+    }
+
+    /// A picture of rays from `origin` along `directions` (unit, world).
+    pub fn picture(&mut self, origin: [f32; 3], directions: Vec<[f32; 3]>) -> BakedPicture {
+        self.stale.fill(false);
+        let rays: Vec<(Shown, Crossed)> =
+            directions.par_iter().with_min_len(CHUNK).map(|&d| self.send(origin, d)).collect();
+        let (shown, crossed) = rays.into_iter().unzip();
+        BakedPicture { origin, directions, shown, crossed }
+    }
+
+    /// Brings a picture up to date after edits; gives the number of rays that had to be sent.
+    pub fn redraw(&mut self, picture: &mut BakedPicture) -> usize {
+        if !self.stale.contains(&true) {
+            return 0;
+        }
+        let BakedPicture { origin, directions, shown, crossed } = picture;
+        let this = &*self;
+        let sent = directions
+            .par_iter()
+            .zip(shown)
+            .zip(crossed)
+            .with_min_len(CHUNK)
+            .map(|((&direction, shown), crossed)| {
+                let stale = crossed.any(&this.stale);
+                if stale {
+                    (*shown, *crossed) = this.send(*origin, direction);
+                }
+                usize::from(stale)
+            })
+            .sum();
+        self.stale.fill(false);
+        sent
+    }
+
+    fn send(&self, origin: [f32; 3], direction: [f32; 3]) -> (Shown, Crossed) {
+        let model = self.face.model;
+        let march = model.head_march(origin, direction, None, model.divisions, 0.5);
+        let head = self.head.send(&model.head, march, 1.0, OPAQUE);
+        let mut shown = Shown {
+            color: head.color,
+            left: head.left,
+            depth: if head.depth[1] > 0.5 { head.depth[0] / head.depth[1] * model.layout.head_box.half } else { 0.0 },
+            ..Shown::default()
+        };
+        if let (Some(part), Some(frame), Some(baked)) = (&model.background, &model.layout.background, &self.background)
+            && head.left > OPAQUE
+            && let Some(march) = frame.march(frame.camera_from_world(origin), frame.turn(direction), model.planes, 0.5)
+        {
+            let behind = baked.send(part, march, head.left, OPAQUE);
+            shown.left = behind.left;
+            (0..3).for_each(|c| shown.color[c] += behind.color[c]);
+        }
+        (shown, head.crossed)
+    }
+}
+
+#[cfg(test)]
+#[path = "render_tests.rs"]
+mod tests;

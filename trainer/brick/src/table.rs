@@ -165,3 +165,58 @@ impl TableGrad {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grad(table: &Table, touched: &[usize], value: f32) -> TableGrad {
+        let mut g = TableGrad::default();
+        g.fit(table);
+        for &block in touched {
+            g.touched[block] = true;
+            g.values[block * table.block..(block + 1) * table.block].fill(value);
+        }
+        g
+    }
+
+    /// Adam by the book, for one number.
+    fn by_the_book(gradients: &[f64], rate: f64) -> f64 {
+        let (mut m, mut v, mut x) = (0.0, 0.0, 0.0);
+        for (i, g) in gradients.iter().enumerate() {
+            m = 0.9 * m + 0.1 * g;
+            v = 0.99 * v + 0.01 * g * g;
+            let t = i as i32 + 1;
+            x -= rate * (m / (1.0 - 0.9f64.powi(t))) / ((v / (1.0 - 0.99f64.powi(t))).sqrt() + 1e-12);
+        }
+        x
+    }
+
+    #[test]
+    fn a_block_counts_its_own_steps() {
+        let mut table = Table::new(3, 10, || 0.0);
+        for step in 0..20 {
+            let touched: &[usize] = if step == 19 { &[1, 2] } else { &[1] };
+            let mut a = grad(&table, touched, 0.3);
+            let mut b = grad(&table, &[1], 0.1);
+            table.step(&mut [&mut a, &mut b], &Adam::new(0.01), 1);
+            assert!(a.values.iter().chain(&b.values).all(|v| *v == 0.0), "gradients are cleared");
+        }
+        assert_eq!(table.steps, [0, 20, 1]);
+        assert!(table.values[..10].iter().all(|v| *v == 0.0), "block 0 is the empty one");
+        for (block, gradients) in [(1, vec![0.4; 20]), (2, vec![0.3])] {
+            let expected = by_the_book(&gradients, 0.01);
+            for v in &table.values[block * 10..(block + 1) * 10] {
+                assert!((f64::from(*v) - expected).abs() < 1e-6, "block {block}: {v}, expected {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_gradient_of_nothing_moves_nothing() {
+        let mut table = Table::new(2, 8, || 0.5);
+        let mut g = grad(&table, &[1], 0.0);
+        table.step(&mut [&mut g], &Adam::new(0.01), 0);
+        assert!(table.values.iter().all(|v| *v == 0.5));
+    }
+}

@@ -100,6 +100,7 @@ pub fn fit(
             hint: "use `--field confies`".to_owned(),
         });
     }
+    let started = Instant::now();
     let views = TrainViews::new(data, settings.region_share);
     let (mut fitter, seconds_before) = start(data, settings, run, resume)?;
     let first_step = fitter.progress.step;
@@ -116,17 +117,18 @@ pub fn fit(
     settings_to_disk(settings, run)?;
     let mut log = MetricsLog::open(run, first_step)?;
     let mut recent = Recent::default();
-    let started = Instant::now();
     let seconds = || seconds_before + started.elapsed().as_secs_f64();
     // In thousandths: the length in steps of a fit by time is not known.
     let total = settings.steps.unwrap_or(1000);
     reporter.stage("fit", Some(total));
-    let (mut shown, mut rays, mut finished) = (0, 0usize, false);
+    let (mut shown, mut rays, mut samples, mut finished) = (0, 0usize, 0usize, false);
+    // What the last save will take of the time that was asked for.
+    let mut save_secs = (0.02 * settings.budget_secs).min(2.0);
     loop {
         let step = fitter.progress.step;
         let done = match settings.steps {
             Some(steps) => step as f64 / steps.max(1) as f64,
-            None => seconds() / settings.budget_secs,
+            None => (seconds() + save_secs) / settings.budget_secs,
         };
         let reached = ((done * total as f64) as u64).min(total);
         reporter.advance(reached.saturating_sub(shown));
@@ -141,6 +143,7 @@ pub fn fit(
         let numbers = fitter.step(&views, done as f32);
         check_finite(&numbers, fitter.progress.step)?;
         rays += numbers.rays;
+        samples += numbers.samples[0] + numbers.samples[1];
         recent.add(numbers.color);
         let step = fitter.progress.step;
         if MetricsLog::is_due(step) {
@@ -158,7 +161,9 @@ pub fn fit(
             reporter.note(&format!("step {step}: {:.2} dB, stage {}", recent.psnr_db(), fitter.progress.stage));
         }
         if step % settings.checkpoint_every == 0 {
+            let begun = Instant::now();
             save(&mut fitter, &views, seconds(), data, settings, run)?;
+            save_secs = begun.elapsed().as_secs_f64();
         }
     }
     log.finish()?;
@@ -171,6 +176,7 @@ pub fn fit(
         steps: fitter.progress.step,
         seconds: seconds(),
         rays_per_sec: rays as f64 / started.elapsed().as_secs_f64().max(1e-9),
+        samples_per_sec: samples as f64 / started.elapsed().as_secs_f64().max(1e-9),
         train_psnr_db: recent.psnr_db(),
         parameters: fitter.model.parameters(),
         frames: data.frames.len(),
@@ -218,12 +224,13 @@ fn save(
 ) -> Result<()> {
     let step = fitter.progress.step;
     let pending = fitter.pending_weights();
-    let model = &fitter.model;
-    let saved = SavedBrick::of(model, views.plate());
+    let progress = fitter.progress.clone();
+    let model = &mut fitter.model;
+    let saved = SavedBrick::of(model, views.plate(), data.is_uncapped());
     let dir = AtomicDir::create(checkpoint::folder(run, step))?;
     let more = [(PENDING[0], pending[0].as_slice()), (PENDING[1], pending[1].as_slice())];
     store::write(&dir.path().join("state.safetensors"), model, Content::Checkpoint, None, &more)?;
-    let brick = BrickState { progress: fitter.progress.clone(), saved: SavedBrick { plate: None, ..saved.clone() } };
+    let brick = BrickState { progress, saved: SavedBrick { plate: None, ..saved.clone() } };
     write_json(dir.path().join("brick.json"), &brick)?;
     let state = CheckpointState { version: 1, step, seconds, dataset_sha256: data.sha256.clone() };
     write_json(dir.path().join("state.json"), &state)?;

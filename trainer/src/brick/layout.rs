@@ -12,6 +12,9 @@ const BOX_RADII: f64 = 2.4;
 const BEHIND_RADII: f64 = 0.9;
 const BELOW_RADII: f64 = 0.3;
 
+/// How far beyond what 96 % of the pictures' corners see the background may reach, in widths of that.
+const MOST_ASIDE: f32 = 0.35;
+
 /// The mean camera: position, and its axes as rows.
 struct MeanCamera {
     position: DVec3,
@@ -90,12 +93,8 @@ fn background(data: &TrainData, camera: &MeanCamera, head: &HeadBox) -> Backgrou
         for corner in [DVec2::ZERO, DVec2::new(w, 0.0), DVec2::new(0.0, h), DVec2::new(w, h)] {
             let Some(direction) = training.camera.ray_direction(corner) else { continue };
             let d = frame.turn(direction.as_vec3().to_array());
-            if d[2] < 0.05 {
-                continue;
-            }
-            for s in [1.0, -1.0] {
-                let p = frame.point(origin, d, s);
-                (0..2).for_each(|a| seen[a].push(p[a]));
+            if let Some(march) = frame.march(origin, d, 1, 0.0) {
+                (0..2).for_each(|a| seen[a].extend([march.origin[a], march.origin[a] + 2.0 * march.direction[a]]));
             }
         }
     }
@@ -105,7 +104,13 @@ fn background(data: &TrainData, camera: &MeanCamera, head: &HeadBox) -> Backgrou
         let at = |q: f64| {
             values.get((values.len() as f64 * q) as usize).copied().unwrap_or(if q < 0.5 { -1.0 } else { 1.0 })
         };
-        let (low, high) = (at(0.005), at(0.995));
+        // The views from farthest aside are few and the only ones to see what they see; a camera that went astray must
+        // not take all the vertices.
+        let (low, high) = (at(0.02), at(0.98));
+        let most = MOST_ASIDE * (high - low);
+        let first = values.first().copied().unwrap_or(low).max(low - most);
+        let last = values.last().copied().unwrap_or(high).min(high + most);
+        let (low, high) = (first, last);
         frame.middle[a] = (low + high) * 0.5;
         frame.extent[a] = ((high - low) * 0.5).max(1e-3);
     }

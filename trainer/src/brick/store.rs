@@ -1,5 +1,6 @@
 //! The brick field on disk: named tensors in safetensors, and what describes them.
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use risorius_brick::lattice::{BRICK, Lattice};
@@ -7,7 +8,7 @@ use risorius_brick::model::Part;
 use risorius_brick::table::Table;
 use risorius_brick::{Brick, Layout};
 use risorius_formats::{FormatError, atomic};
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use safetensors::tensor::{Dtype, SafeTensors};
 use serde::{Deserialize, Serialize};
 
 use super::plate::Plate;
@@ -27,6 +28,9 @@ pub struct SavedBrick {
     pub live: [usize; 2],
     /// The image whose latent code stands for a neutral face.
     pub neutral_image: usize,
+    /// Whether attributes rise above 1 for the strongest intensities (eq. 1 without its cap).
+    #[serde(default)]
+    pub uncapped: bool,
     /// Size of the picture behind everything, if it is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plate: Option<[u32; 2]>,
@@ -34,13 +38,14 @@ pub struct SavedBrick {
 
 impl SavedBrick {
     /// Describes a model.
-    pub fn of(model: &Brick, plate: Option<&Plate>) -> Self {
+    pub fn of(model: &Brick, plate: Option<&Plate>, uncapped: bool) -> Self {
         Self {
             layout: model.layout.clone(),
             divisions: model.divisions,
             planes: model.planes,
             live: [model.head.field.live, model.background.as_ref().map_or(0, |p| p.field.live)],
             neutral_image: model.neutral_image,
+            uncapped,
             plate: plate.map(|p| [p.width, p.height]),
         }
     }
@@ -56,14 +61,13 @@ pub enum Content {
 }
 
 /// Visits every array of a model with its name.
-trait Visitor {
-    fn floats(&mut self, name: String, values: &mut Vec<f32>);
-    fn counts(&mut self, name: String, values: &mut Vec<u32>);
-    fn bytes(&mut self, name: String, values: &mut Vec<u8>);
-    fn flags(&mut self, name: String, values: &mut Vec<bool>);
+trait Visitor<'m> {
+    fn floats(&mut self, name: String, values: &'m mut Vec<f32>);
+    fn counts(&mut self, name: String, values: &'m mut Vec<u32>);
+    fn bytes(&mut self, name: String, values: &'m mut Vec<u8>);
 }
 
-fn visit_table(name: &str, table: &mut Table, content: Content, v: &mut impl Visitor) {
+fn visit_table<'m>(name: &str, table: &'m mut Table, content: Content, v: &mut impl Visitor<'m>) {
     v.floats(format!("{name}.values"), &mut table.values);
     v.counts(format!("{name}.steps"), &mut table.steps);
     if content == Content::Checkpoint {
@@ -72,20 +76,20 @@ fn visit_table(name: &str, table: &mut Table, content: Content, v: &mut impl Vis
     }
 }
 
-fn visit_part(name: &str, part: &mut Part, content: Content, v: &mut impl Visitor) {
+fn visit_part<'m>(name: &str, part: &'m mut Part, content: Content, v: &mut impl Visitor<'m>) {
     for (l, (lattice, table)) in part.field.levels.iter_mut().zip(&mut part.field.features).enumerate() {
         v.counts(format!("{name}.level{l}.slot"), &mut lattice.slot);
         visit_table(&format!("{name}.level{l}"), table, content, v);
     }
     visit_table(&format!("{name}.net"), &mut part.field.net, content, v);
-    v.flags(format!("{name}.occupied"), &mut part.occupancy.bits);
+    v.bytes(format!("{name}.occupied"), &mut part.occupancy.bits);
     if content == Content::Checkpoint {
         v.floats(format!("{name}.density"), &mut part.occupancy.density);
         v.floats(format!("{name}.weight"), &mut part.occupancy.weight);
     }
 }
 
-fn visit(model: &mut Brick, content: Content, v: &mut impl Visitor) {
+fn visit<'m>(model: &'m mut Brick, content: Content, v: &mut impl Visitor<'m>) {
     visit_part("head", &mut model.head, content, v);
     if let Some(part) = &mut model.background {
         visit_part("background", part, content, v);
@@ -111,22 +115,53 @@ fn visit(model: &mut Brick, content: Content, v: &mut impl Visitor) {
     }
 }
 
-/// Gathers all arrays as little-endian bytes.
-#[derive(Default)]
-struct Gather(Vec<(String, Dtype, usize, Vec<u8>)>);
+/// An array on its way to a file.
+enum Array<'m> {
+    Floats(&'m [f32], [usize; 1]),
+    Counts(&'m [u32], [usize; 1]),
+    Bytes(&'m [u8], [usize; 1]),
+}
 
-impl Visitor for Gather {
-    fn floats(&mut self, name: String, values: &mut Vec<f32>) {
-        self.0.push((name, Dtype::F32, values.len(), values.iter().flat_map(|v| v.to_le_bytes()).collect()));
+impl safetensors::View for Array<'_> {
+    fn dtype(&self) -> Dtype {
+        match self {
+            Self::Floats(..) => Dtype::F32,
+            Self::Counts(..) => Dtype::U32,
+            Self::Bytes(..) => Dtype::U8,
+        }
     }
-    fn counts(&mut self, name: String, values: &mut Vec<u32>) {
-        self.0.push((name, Dtype::U32, values.len(), values.iter().flat_map(|v| v.to_le_bytes()).collect()));
+
+    fn shape(&self) -> &[usize] {
+        let (Self::Floats(_, shape) | Self::Counts(_, shape) | Self::Bytes(_, shape)) = self;
+        shape
     }
-    fn bytes(&mut self, name: String, values: &mut Vec<u8>) {
-        self.0.push((name, Dtype::U8, values.len(), values.clone()));
+
+    fn data(&self) -> Cow<'_, [u8]> {
+        match self {
+            Self::Floats(values, _) => values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>().into(),
+            Self::Counts(values, _) => values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>().into(),
+            Self::Bytes(values, _) => Cow::Borrowed(values),
+        }
     }
-    fn flags(&mut self, name: String, values: &mut Vec<bool>) {
-        self.0.push((name, Dtype::U8, values.len(), values.iter().map(|&b| u8::from(b)).collect()));
+
+    fn data_len(&self) -> usize {
+        self.shape()[0] * if matches!(self, Self::Bytes(..)) { 1 } else { 4 }
+    }
+}
+
+/// Gathers all arrays where they are.
+#[derive(Default)]
+struct Gather<'m>(Vec<(String, Array<'m>)>);
+
+impl<'m> Visitor<'m> for Gather<'m> {
+    fn floats(&mut self, name: String, values: &'m mut Vec<f32>) {
+        self.0.push((name, Array::Floats(values, [values.len()])));
+    }
+    fn counts(&mut self, name: String, values: &'m mut Vec<u32>) {
+        self.0.push((name, Array::Counts(values, [values.len()])));
+    }
+    fn bytes(&mut self, name: String, values: &'m mut Vec<u8>) {
+        self.0.push((name, Array::Bytes(values, [values.len()])));
     }
 }
 
@@ -152,8 +187,8 @@ impl Fill<'_> {
     }
 }
 
-impl Visitor for Fill<'_> {
-    fn floats(&mut self, name: String, values: &mut Vec<f32>) {
+impl<'m> Visitor<'m> for Fill<'_> {
+    fn floats(&mut self, name: String, values: &'m mut Vec<f32>) {
         let convert = |b: &[u8]| b.as_chunks::<4>().0.iter().map(|c| f32::from_le_bytes(*c)).collect::<Vec<_>>();
         if let Some(read) = self.take(&name, Dtype::F32, convert) {
             if let Some(bad) = read.iter().find(|v| !v.is_finite()) {
@@ -162,48 +197,50 @@ impl Visitor for Fill<'_> {
             *values = read;
         }
     }
-    fn counts(&mut self, name: String, values: &mut Vec<u32>) {
+    fn counts(&mut self, name: String, values: &'m mut Vec<u32>) {
         let convert = |b: &[u8]| b.as_chunks::<4>().0.iter().map(|c| u32::from_le_bytes(*c)).collect();
         if let Some(read) = self.take(&name, Dtype::U32, convert) {
             *values = read;
         }
     }
-    fn bytes(&mut self, name: String, values: &mut Vec<u8>) {
+    fn bytes(&mut self, name: String, values: &'m mut Vec<u8>) {
         if let Some(read) = self.take(&name, Dtype::U8, <[u8]>::to_vec) {
-            *values = read;
-        }
-    }
-    fn flags(&mut self, name: String, values: &mut Vec<bool>) {
-        if let Some(read) = self.take(&name, Dtype::U8, |b| b.iter().map(|&v| v != 0).collect()) {
             *values = read;
         }
     }
 }
 
-/// Writes a model's arrays, with the plate and other floats of the fit if there are some.
+/// Writes a model's arrays, with the plate and other floats of the fit if there are some; one array after the other, so
+/// that no copy of the whole is made. The model is only read.
 pub fn write(
     path: &Path,
-    model: &Brick,
+    model: &mut Brick,
     content: Content,
     plate: Option<&Plate>,
     more: &[(&str, &[f32])],
 ) -> Result<()> {
     let mut gather = Gather::default();
-    visit(&mut model.clone(), content, &mut gather);
+    visit(model, content, &mut gather);
+    let Gather(mut arrays) = gather;
     if let Some(plate) = plate {
-        gather.bytes("plate".to_owned(), &mut plate.rgb.clone());
+        arrays.push(("plate".to_owned(), Array::Bytes(&plate.rgb, [plate.rgb.len()])));
     }
-    for (name, values) in more {
-        gather.floats((*name).to_owned(), &mut values.to_vec());
+    arrays.extend(more.iter().map(|(name, values)| ((*name).to_owned(), Array::Floats(values, [values.len()]))));
+    let file = atomic::AtomicFile::create(path)?;
+    let io = |e: std::io::Error| FormatError::io(path, "write", &e);
+    safetensors::serialize_to_file(arrays, None, file.staging_path()).map_err(|e| match e {
+        safetensors::SafeTensorError::IoError(e) => io(e).into(),
+        other => damaged(path, &other),
+    })?;
+    // The crate puts a private file of its own in the place of ours: open it to everyone, and see it on the disk.
+    let written = std::fs::File::options().write(true).open(file.staging_path()).map_err(io)?;
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        written.set_permissions(std::fs::Permissions::from_mode(0o644)).map_err(io)?;
     }
-    let views: Vec<(&str, TensorView<'_>)> = gather
-        .0
-        .iter()
-        .map(|(name, dtype, len, bytes)| Ok((name.as_str(), TensorView::new(*dtype, vec![*len], bytes)?)))
-        .collect::<std::result::Result<_, safetensors::SafeTensorError>>()
-        .map_err(|e| damaged(path, &e))?;
-    let bytes = safetensors::serialize(views, None).map_err(|e| damaged(path, &e))?;
-    atomic::write_file(path, &bytes)?;
+    written.sync_all().map_err(io)?;
+    file.commit()?;
     Ok(())
 }
 
@@ -286,7 +323,7 @@ fn settle(model: &mut Brick, content: Content) -> std::result::Result<(), String
         table(&format!("{name}.net"), &mut part.field.net, 1)?;
         let cells = risorius_brick::occupancy::COUNT;
         let o = &mut part.occupancy;
-        if o.bits.len() != cells || o.density.len() != cells || o.weight.len() != cells {
+        if o.bits.len() != cells || o.density.len() != cells || o.weight.len() != 8 * cells {
             return Err(format!("`{name}.occupied` has {} cells, expected {cells}", o.bits.len()));
         }
         o.refresh();

@@ -15,13 +15,14 @@ pub struct TrainViews<'a> {
     origins: Vec<[f32; 3]>,
     plate: Option<Plate>,
     region_share: f32,
+    uncapped: bool,
 }
 
 impl<'a> TrainViews<'a> {
     /// `region_share` of the rays come from pixels inside regions.
     pub fn new(data: &'a TrainData, region_share: f32) -> Self {
         let origins = data.frames.iter().map(|f| f.camera.center().as_vec3().to_array()).collect();
-        Self { data, origins, plate: Plate::of(data), region_share }
+        Self { data, origins, plate: Plate::of(data), region_share, uncapped: data.is_uncapped() }
     }
 
     /// What is behind the head, if the camera stands still.
@@ -40,7 +41,8 @@ impl Views for TrainViews<'_> {
     }
 
     fn attributes(&self, view: usize) -> Option<&[f32]> {
-        self.data.frames[view].attributes.as_deref()
+        let frame = &self.data.frames[view];
+        if self.uncapped { frame.uncapped.as_deref() } else { frame.attributes.as_deref() }
     }
 
     fn draw(&self, view: usize, rng: &mut ChaCha8Rng, rays: usize, out: &mut Vec<Pixel>) {

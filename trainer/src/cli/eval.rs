@@ -6,10 +6,11 @@ use risorius_console::{Console, Failure};
 use risorius_formats::pose_report::write_json;
 use risorius_formats::views::{View, ViewCamera, ViewList};
 
-use super::{DeviceArgs, need};
+use super::{DeviceArgs, SkipArgs, need};
 use crate::avatar::Avatar;
 use crate::error::TrainerError;
-use crate::jobs::render::{Sink, evaluate, render, shots_of_views};
+use crate::jobs::render::{Judged, evaluate};
+use crate::studio::Look;
 
 /// Options of `trainer eval`.
 #[derive(Debug, clap::Args)]
@@ -25,6 +26,11 @@ pub(super) struct EvalArgs {
     /// Score pictures that `trainer render` made before, instead of rendering
     #[arg(long, value_name = "DIR", requires = "views")]
     renders: Option<PathBuf>,
+    /// Judge the baked avatar (see `trainer render --baked`)
+    #[arg(long)]
+    baked: bool,
+    #[command(flatten)]
+    skips: SkipArgs,
     #[command(flatten)]
     device: DeviceArgs,
 }
@@ -36,20 +42,20 @@ pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
         None => validation_views(&args.run)?,
     };
     let folder = args.run.join("eval");
-    let renders = if let Some(renders) = &args.renders {
-        renders.clone()
+    let evaluation = if let Some(renders) = &args.renders {
+        evaluate(&views, &list_path, Judged::Folder(renders), console)?
     } else {
         let avatar = Avatar::open(&args.run, &args.device.device()?)?;
-        let with_truth = ViewList { views: views.views.iter().filter(|v| v.image.is_some()).cloned().collect() };
-        let shots = shots_of_views(&avatar, &with_truth, console);
-        let sink = Sink { folder: Some(folder.join("renders")), video: None, full: false };
-        render(&avatar, &shots, &sink, console, |_, picture| Ok(picture))?;
-        folder.join("renders")
+        let look = Look { skips: args.skips.skips()?, baked: args.baked, full: false };
+        evaluate(&views, &list_path, Judged::Avatar(&avatar, look, &folder.join("renders")), console)?
     };
-    let evaluation = evaluate(&views, &list_path, &renders)?;
     write_json(folder.join("eval.json"), &evaluation)?;
-    let row = |name: &str, psnr: f64| format!("{name:>20}  {psnr:6.2} dB");
-    let mut lines: Vec<String> = evaluation.mean_psnr_db_by_kind.iter().map(|(kind, psnr)| row(kind, *psnr)).collect();
+    let row = |name: &str, psnr: f64| format!("{name:>30}  {psnr:6.2} dB");
+    let mut lines = Vec::new();
+    for (kind, parts) in &evaluation.mean_parts_psnr_db {
+        lines.extend(parts.iter().map(|(part, psnr)| row(&format!("{kind}: {part}"), *psnr)));
+    }
+    lines.extend(evaluation.mean_psnr_db_by_kind.iter().map(|(kind, psnr)| row(kind, *psnr)));
     lines.push(format!("{}  ({} views)", row("mean PSNR", evaluation.mean_psnr_db), evaluation.views.len()));
     let human = lines.join("\n");
     console.finish(&evaluation, &human);

@@ -47,6 +47,8 @@ pub(super) struct FitArgs {
     /// Steps between checkpoints
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(super) checkpoint_every: Option<u64>,
+    #[command(flatten)]
+    pub(super) skips: super::SkipArgs,
     /// Go on from the newest checkpoint in RUN
     #[arg(long)]
     pub(super) resume: bool,

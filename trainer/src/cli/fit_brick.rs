@@ -69,6 +69,9 @@ fn resolve(args: &FitArgs) -> Result<BrickSettings, Failure> {
         settings.budget_secs = budget;
         settings.steps = None;
     }
+    if !args.skips.no_skip.is_empty() {
+        settings.step.skips = args.skips.skips()?;
+    }
     settings.checkpoint_every = args.checkpoint_every.unwrap_or(settings.checkpoint_every);
     settings.step.seed = args.seed.unwrap_or(settings.step.seed);
     settings.image_scale = args.image_scale.unwrap_or(settings.image_scale);

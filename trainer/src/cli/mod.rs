@@ -10,6 +10,7 @@ use std::path::PathBuf;
 
 use burn::tensor::Device;
 use clap::{Parser, Subcommand};
+use risorius_brick::Skips;
 use risorius_console::{Common, CommonArgs, Console, Failure};
 
 use crate::error::TrainerError;
@@ -81,6 +82,26 @@ impl DeviceArgs {
                 hint: "devices: cpu, cuda, wgpu".to_owned(),
             }),
         }
+    }
+}
+
+/// What is to be skipped.
+#[derive(Clone, Debug, Default, clap::Args)]
+struct SkipArgs {
+    /// Do without a skip of the brick field, to measure it; may be repeated
+    #[arg(long, value_name = "WHAT", value_parser = clap::builder::PossibleValuesParser::new(Skips::NAMES))]
+    no_skip: Vec<String>,
+}
+
+impl SkipArgs {
+    fn skips(&self) -> Result<Skips, Failure> {
+        let mut skips = Skips::default();
+        for name in &self.no_skip {
+            if !skips.switch_off(name) {
+                return Err(Failure::usage(format!("there is no skip `{name}`")));
+            }
+        }
+        Ok(skips)
     }
 }
 

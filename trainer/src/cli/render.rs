@@ -6,10 +6,11 @@ use risorius_console::{Console, Failure};
 use risorius_formats::views::ViewList;
 use risorius_formats::{ActionUnit, Camera};
 
-use super::{DeviceArgs, need, parse_au};
+use super::{DeviceArgs, SkipArgs, need, parse_au};
 use crate::avatar::Avatar;
 use crate::jobs::render::{Shot, Sink, render, shots_of_views, warn_unknown};
 use crate::path;
+use crate::studio::Look;
 
 /// Options of `trainer render`.
 #[derive(Debug, clap::Args)]
@@ -40,6 +41,14 @@ pub(super) struct RenderArgs {
     /// Render every pixel, also where the view is finer than the images that were fitted
     #[arg(long)]
     full: bool,
+    /// Bake the expression first: many times faster for many views, with an error that `eval --baked` measures
+    #[arg(long)]
+    baked: bool,
+    /// Also write depth (16-bit PNG, thousandths of a world unit) and region masks (red, green, blue) of every view
+    #[arg(long, conflicts_with = "baked", requires = "out")]
+    maps: bool,
+    #[command(flatten)]
+    skips: SkipArgs,
     #[command(flatten)]
     device: DeviceArgs,
 }
@@ -56,7 +65,9 @@ pub(super) fn run(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
         None => shots_of_options(&avatar, args, console),
     };
     let fps = args.fps.unwrap_or(15.0);
-    let sink = Sink { folder: args.out.clone(), video: args.video.clone().map(|path| (path, fps)), full: args.full };
+    let look = Look { skips: args.skips.skips()?, baked: args.baked, full: args.full };
+    let sink =
+        Sink { folder: args.out.clone(), video: args.video.clone().map(|path| (path, fps)), look, maps: args.maps };
     let summary = render(&avatar, &shots, &sink, console, |_, picture| Ok(picture))?;
     let human =
         format!("{} pictures in {:.1} s, {:.2} s each", summary.rendered, summary.seconds, summary.seconds_per_picture);

@@ -9,6 +9,7 @@ use super::{DeviceArgs, need};
 use crate::avatar::Avatar;
 use crate::jobs::render::Sink;
 use crate::jobs::transfer::{Range, TransferSettings, transfer};
+use crate::studio::Look;
 
 /// Options of `trainer transfer`.
 #[derive(Debug, clap::Args)]
@@ -63,7 +64,8 @@ pub(super) fn run(args: &TransferArgs, console: &Console) -> Result<(), Failure>
     let sink = Sink {
         folder: args.out.clone(),
         video: args.video.clone().map(|path| (path, fps.min(take.fps()))),
-        full: false,
+        look: Look::default(),
+        maps: false,
     };
     let summary = transfer(&avatar, &take, &settings, &sink, console)?;
     let human = format!(

@@ -35,6 +35,8 @@ pub struct FitSummary {
     pub seconds: f64,
     /// Rays per second of this call.
     pub rays_per_sec: f64,
+    /// Samples along these rays per second, forward and backward.
+    pub samples_per_sec: f64,
     /// PSNR of the last steps' rays, dB.
     pub train_psnr_db: f64,
     /// Trainable numbers.
@@ -142,6 +144,9 @@ pub fn fit(
         steps: state.step,
         seconds,
         rays_per_sec: rays / training_started.elapsed().as_secs_f64().max(1e-9),
+        // The fine pass looks at the coarse samples once more.
+        samples_per_sec: rays * (2 * settings.coarse_samples + settings.fine_samples) as f64
+            / training_started.elapsed().as_secs_f64().max(1e-9),
         train_psnr_db: recent.psnr_db(),
         parameters,
         frames: data.frames.len(),

@@ -10,9 +10,10 @@ use risorius_formats::{Camera, FormatError, Reporter, Warning, atomic};
 use risorius_video::Writer;
 use serde::Serialize;
 
-use crate::avatar::Avatar;
+use crate::avatar::{Avatar, Render};
 use crate::error::{Result, TrainerError};
 use crate::eval::{self, Evaluation, ViewScore};
+use crate::studio::{Look, Studio};
 
 /// One picture to take.
 #[derive(Clone, Debug)]
@@ -32,8 +33,10 @@ pub struct Sink {
     pub folder: Option<PathBuf>,
     /// A video of all pictures in order, with its frame rate.
     pub video: Option<(PathBuf, f64)>,
-    /// Whether every pixel is rendered, also where the view is finer than the fitted images.
-    pub full: bool,
+    /// How pictures are taken.
+    pub look: Look,
+    /// Whether `<id>_depth.png` (16 bit, thousandths of a world unit) and `<id>_masks.png` are written as well.
+    pub maps: bool,
 }
 
 /// What was rendered.
@@ -85,14 +88,19 @@ pub fn render(
 ) -> Result<RenderSummary> {
     let started = std::time::Instant::now();
     let mut writer: Option<Writer> = None;
+    let mut studio = Studio::new(avatar, sink.look);
     reporter.stage("render", Some(shots.len() as u64));
     for (i, shot) in shots.iter().enumerate() {
         if reporter.cancelled() {
             return Err(TrainerError::Interrupted { done: format!("{i} of {} pictures", shots.len()) });
         }
-        let picture = adorn(i, avatar.picture(&shot.camera, &shot.attributes, sink.full, reporter)?)?;
+        let picture = adorn(i, studio.picture(&shot.camera, &shot.attributes, reporter)?)?;
         if let Some(folder) = &sink.folder {
             write_png(&folder.join(format!("{}.png", shot.id)), &picture)?;
+            if sink.maps {
+                let (_, maps) = studio.picture_and_maps(&shot.camera, &shot.attributes, reporter)?;
+                write_maps(folder, &shot.id, &maps)?;
+            }
         }
         if let Some((path, fps)) = &sink.video {
             if writer.is_none() {
@@ -117,27 +125,80 @@ pub fn render(
     })
 }
 
+/// Writes depth and masks of a view beside its picture.
+fn write_maps(folder: &Path, id: &str, render: &Render) -> Result<()> {
+    let (width, height) = render.rgb.dimensions();
+    let depth: Vec<u8> =
+        render.depth.iter().flat_map(|d| ((d * 1000.0).round().clamp(0.0, 65535.0) as u16).to_ne_bytes()).collect();
+    let path = folder.join(format!("{id}_depth.png"));
+    write_pixels(&path, &depth, (width, height), image::ExtendedColorType::L16)?;
+    let byte = |n: usize, i: usize| render.masks.get(n).map_or(0, |m| (m[i].clamp(0.0, 1.0) * 255.0).round() as u8);
+    let masks: Vec<u8> = (0..render.depth.len()).flat_map(|i| [byte(0, i), byte(1, i), byte(2, i)]).collect();
+    write_pixels(&folder.join(format!("{id}_masks.png")), &masks, (width, height), image::ExtendedColorType::Rgb8)
+}
+
 /// Writes a PNG, whole or not at all.
 pub fn write_png(path: &Path, image: &RgbImage) -> Result<()> {
+    write_pixels(path, image.as_raw(), image.dimensions(), image::ExtendedColorType::Rgb8)
+}
+
+fn write_pixels(
+    path: &Path,
+    pixels: &[u8],
+    (width, height): (u32, u32),
+    color: image::ExtendedColorType,
+) -> Result<()> {
     let mut bytes = Vec::new();
     PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)
-        .write_image(image.as_raw(), image.width(), image.height(), image::ExtendedColorType::Rgb8)
+        .write_image(pixels, width, height, color)
         .map_err(|e| TrainerError::Image { path: path.to_owned(), message: e.to_string() })?;
     Ok(atomic::write_file(path, &bytes)?)
 }
 
-/// Compares the renders in `renders` with the true images that the list names.
-pub fn evaluate(views: &ViewList, list_path: &Path, renders: &Path) -> Result<Evaluation> {
+/// Where the pictures to be judged come from.
+#[derive(Clone, Copy)]
+pub enum Judged<'a> {
+    /// PNGs that were rendered before.
+    Folder(&'a Path),
+    /// The avatar, rendered now; its pictures are kept in the folder.
+    Avatar(&'a Avatar, Look, &'a Path),
+}
+
+/// Compares pictures with the true images that the list names. Parts of images are judged where the avatar tells them
+/// apart.
+pub fn evaluate(views: &ViewList, list_path: &Path, judged: Judged<'_>, reporter: &dyn Reporter) -> Result<Evaluation> {
     let base = list_path.parent().unwrap_or(Path::new("."));
+    let with_truth = ViewList { views: views.views.iter().filter(|v| v.image.is_some()).cloned().collect() };
+    let mut studio = match judged {
+        Judged::Avatar(avatar, look, folder) => {
+            Some((avatar, Studio::new(avatar, look), shots_of_views(avatar, &with_truth, reporter), folder))
+        }
+        Judged::Folder(_) => None,
+    };
     let mut scores = Vec::new();
-    for view in &views.views {
-        let Some(truth) = &view.image else { continue };
-        let render = crate::data::read_rgb(&renders.join(format!("{}.png", view.id)))?;
-        scores.push(ViewScore {
-            id: view.id.clone(),
-            kind: view.kind.clone(),
-            psnr_db: eval::score(&render, &base.join(truth))?,
-        });
+    reporter.stage("evaluate", Some(with_truth.views.len() as u64));
+    for (i, view) in with_truth.views.iter().enumerate() {
+        if reporter.cancelled() {
+            return Err(TrainerError::Interrupted { done: format!("{i} of {} views", with_truth.views.len()) });
+        }
+        let path = base.join(view.image.as_deref().unwrap_or(Path::new("")));
+        let truth = crate::data::read_rgb(&path)?;
+        let name = format!("{}.png", view.id);
+        let (picture, parts_psnr_db) = match (&mut studio, judged) {
+            (Some((avatar, studio, shots, folder)), _) => {
+                let shot = &shots[i];
+                let (picture, maps) = studio.picture_and_maps(&shot.camera, &shot.attributes, reporter)?;
+                write_png(&folder.join(name), &picture)?;
+                let parts = eval::score_parts(&picture, &truth, &maps, &avatar.saved.table.regions);
+                (picture, parts)
+            }
+            (None, Judged::Folder(folder) | Judged::Avatar(_, _, folder)) => {
+                (crate::data::read_rgb(&folder.join(name))?, std::collections::BTreeMap::new())
+            }
+        };
+        let psnr_db = eval::score(&picture, &truth, &path)?;
+        scores.push(ViewScore { id: view.id.clone(), kind: view.kind.clone(), psnr_db, parts_psnr_db });
+        reporter.advance(1);
     }
     Evaluation::new(scores).ok_or_else(|| {
         FormatError::new(risorius_formats::ErrorKind::Missing, "names no true image to compare with")

@@ -155,9 +155,10 @@ pub fn transfer(
         }
         driven.push(spec.unit);
         for (frame, &value) in attributes.iter_mut().zip(curve) {
-            frame[k] = range.attribute_from_intensity(value);
+            frame[k] = avatar.attribute_from_intensity(&range, value);
             total += 1;
-            clamped += usize::from(frame[k] >= 1.0);
+            clamped +=
+                usize::from(avatar.attribute_from_intensity(&range, value * 0.999) >= frame[k] && frame[k] >= 1.0);
         }
     }
     warn_unknown(&unknown, reporter);

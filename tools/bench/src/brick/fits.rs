@@ -1,0 +1,113 @@
+//! Fits as a user runs them, judged on views with true pictures.
+
+use std::collections::BTreeMap;
+
+use risorius_brick::floor::Floor;
+use risorius_console::Failure;
+use serde::Serialize;
+use serde_json::Value;
+
+use super::Cli;
+use crate::child;
+
+/// One fit and how good it is.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Fit {
+    pub(super) name: String,
+    pub(super) steps: u64,
+    /// Seconds of the whole command on the wall, loading and saving included.
+    pub(super) wall_secs: f64,
+    pub(super) cpu_secs: f64,
+    pub(super) peak_mib: f64,
+    pub(super) samples_per_sec: f64,
+    /// Share of the floor in samples per second.
+    pub(super) floor_share: f64,
+    /// Mean PSNR of the pictures, dB: `all`, each kind of view, and their parts as `kind: part`.
+    pub(super) psnr_db: BTreeMap<String, f64>,
+}
+
+/// Fits for a time or a number of steps and evaluates.
+pub(super) fn measure(
+    cli: &Cli,
+    name: &str,
+    length: [&str; 2],
+    no_skip: Option<&str>,
+    floor: &Floor,
+) -> Result<Fit, Failure> {
+    let text = |path: &std::path::Path| path.to_string_lossy().into_owned();
+    let (dataset, out, views) = (text(&cli.dataset), text(&cli.work.join(name)), text(&cli.views));
+    let mut args = vec!["fit", &dataset, "--out", &out, "--field", "brick", "--force", length[0], length[1]];
+    args.extend(no_skip.iter().flat_map(|skip| ["--no-skip", skip]));
+    let fit = child::run("trainer", &args, &cli.work)?;
+    let eval = child::run("trainer", &["eval", &out, "--views", &views], &cli.work)?;
+    let number = |v: &Value, key: &str| v.get(key).and_then(Value::as_f64).unwrap_or(f64::NAN);
+    let mut psnr_db = BTreeMap::from([("all".to_owned(), number(&eval.document, "mean_psnr_db"))]);
+    let entries = |v: Option<&Value>| v.and_then(Value::as_object).cloned().into_iter().flatten().collect::<Vec<_>>();
+    for (kind, psnr) in entries(eval.document.get("mean_psnr_db_by_kind")) {
+        psnr_db.insert(kind, psnr.as_f64().unwrap_or(f64::NAN));
+    }
+    for (kind, parts) in entries(eval.document.get("mean_parts_psnr_db")) {
+        for (part, psnr) in entries(Some(&parts)) {
+            psnr_db.insert(format!("{kind}: {part}"), psnr.as_f64().unwrap_or(f64::NAN));
+        }
+    }
+    let samples_per_sec = number(&fit.document, "samples_per_sec");
+    Ok(Fit {
+        name: name.to_owned(),
+        steps: fit.document.get("steps").and_then(Value::as_u64).unwrap_or(0),
+        wall_secs: fit.wall_secs,
+        cpu_secs: fit.cpu_secs,
+        peak_mib: fit.peak_mib,
+        samples_per_sec,
+        floor_share: samples_per_sec / floor.fit_samples_per_sec(),
+        psnr_db,
+    })
+}
+
+/// The columns that the table shows of [`Fit::psnr_db`].
+const SHOWN: [&str; 5] = ["all", "all: head", "all: background", "all: AU regions", "unseen_expression: AU regions"];
+
+/// A Markdown table.
+pub(super) fn table(fits: &[Fit]) -> String {
+    let mut lines = vec![
+        format!("| fit | steps | wall s | CPU s | peak MiB | M samples/s | of the floor | {} |", SHOWN.join(" | ")),
+        format!("|{}", "---|".repeat(7 + SHOWN.len())),
+    ];
+    for f in fits {
+        let psnr = SHOWN.map(|k| f.psnr_db.get(k).map_or("–".to_owned(), |v| format!("{v:.2}"))).join(" | ");
+        lines.push(format!(
+            "| {} | {} | {:.1} | {:.1} | {:.0} | {:.2} | {:.0} % | {psnr} |",
+            f.name,
+            f.steps,
+            f.wall_secs,
+            f.cpu_secs,
+            f.peak_mib,
+            f.samples_per_sec * 1e-6,
+            f.floor_share * 100.0
+        ));
+    }
+    lines.join("\n")
+}
+
+/// All rows and all kinds of PSNR.
+pub(super) fn csv(fits: &[&Fit]) -> String {
+    let keys: std::collections::BTreeSet<&String> = fits.iter().flat_map(|f| f.psnr_db.keys()).collect();
+    let mut text = String::from("name,steps,wall_secs,cpu_secs,peak_mib,samples_per_sec,floor_share");
+    for key in &keys {
+        text.push_str(&format!(",psnr_db {key}"));
+    }
+    for f in fits {
+        text.push_str(&format!(
+            "\n{},{},{:.3},{:.3},{:.1},{:.0},{:.4}",
+            f.name, f.steps, f.wall_secs, f.cpu_secs, f.peak_mib, f.samples_per_sec, f.floor_share
+        ));
+        for key in &keys {
+            text.push(',');
+            if let Some(v) = f.psnr_db.get(*key) {
+                text.push_str(&format!("{v:.3}"));
+            }
+        }
+    }
+    text.push('\n');
+    text
+}

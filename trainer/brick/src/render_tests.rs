@@ -1,0 +1,109 @@
+//! Pictures that are brought up to date, and baked ones, against pictures rendered from nothing.
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::model::{BackgroundFrame, HeadBox, Layout};
+
+/// A soft avatar of two AUs in two regions that meet, smooth enough to be baked.
+fn soft() -> Brick {
+    let layout = Layout {
+        head_box: HeadBox { center: [0.0; 3], half: 0.5 },
+        background: Some(BackgroundFrame {
+            position: [0.0, 0.0, -2.0],
+            axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            near: 2.6,
+            far: 6.0,
+            middle: [0.0; 2],
+            extent: [0.5; 2],
+        }),
+        region_of: vec![0, 1],
+        regions: 2,
+        images: 1,
+        expression_vertices: 16,
+        finest: 128,
+    };
+    let mut model = Brick::new(layout, 3, |p| u8::from(p[1] < -0.1) | u8::from(p[1] > 0.1) << 1);
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let mut stir =
+        |values: &mut [f32], size: f32| values.iter_mut().for_each(|v| *v = (rng.random::<f32>() - 0.5) * size);
+    for part in [Some(&mut model.head), model.background.as_mut()].into_iter().flatten() {
+        part.field.live = 1;
+        stir(&mut part.field.features[0].values, 1.5);
+        stir(&mut part.field.net.values, 1.0);
+    }
+    for table in &mut model.expression.residuals {
+        stir(&mut table.values, 0.1);
+        table.steps.fill(1);
+    }
+    stir(&mut model.expression.masks.values, 6.0);
+    model
+}
+
+const ORIGIN: [f32; 3] = [0.02, 0.03, -2.0];
+
+fn directions() -> Vec<[f32; 3]> {
+    (0..24 * 24)
+        .map(|i| {
+            let d = [((i % 24) as f32 / 24.0 - 0.5) * 0.5, ((i / 24) as f32 / 24.0 - 0.5) * 0.5, 1.0f32];
+            let n = (d[0] * d[0] + d[1] * d[1] + 1.0).sqrt();
+            d.map(|v| v / n)
+        })
+        .collect()
+}
+
+/// Largest and mean difference of two pictures.
+fn apart(a: &[Shown], b: &[Shown]) -> (f32, f32) {
+    let each: Vec<f32> =
+        a.iter().zip(b).flat_map(|(a, b)| (0..3).map(move |c| (a.color[c] - b.color[c]).abs())).collect();
+    (each.iter().copied().fold(0.0, f32::max), each.iter().sum::<f32>() / each.len() as f32)
+}
+
+#[test]
+fn an_edited_picture_is_that_rendered_from_nothing() {
+    let model = soft();
+    let directions = directions();
+    let mut face = Face::new(&model, &[-1.0, -1.0]);
+    let mut picture = face.render(ORIGIN, &directions);
+    let mut fewest = directions.len();
+    for attributes in [[0.5, -1.0], [0.5, 0.2], [-1.0, 0.2], [-1.0, 0.2], [1.0, 1.0]] {
+        let changed = face.edit(&attributes);
+        let sent = face.redraw(ORIGIN, &directions, &mut picture, changed);
+        fewest = fewest.min(sent);
+        assert_eq!(picture, Face::new(&model, &attributes).render(ORIGIN, &directions), "{attributes:?}");
+    }
+    assert_eq!(fewest, 0, "an edit that changes nothing sends no ray");
+    let changed = face.edit(&[-1.0, 1.0]);
+    assert_eq!(changed, 0b01, "only the first region's AU moved");
+    let sent = face.redraw(ORIGIN, &directions, &mut picture, changed);
+    assert!(sent > 0 && sent < directions.len() * 3 / 4, "{sent} of {} rays", directions.len());
+}
+
+#[test]
+fn a_baked_picture_is_close_to_a_direct_one() {
+    let model = soft();
+    let directions = directions();
+    let direct = Face::new(&model, &[0.4, -0.6]).render(ORIGIN, &directions);
+    let mut baked = BakedFace::new(&model, &[0.4, -0.6], ORIGIN);
+    assert!(baked.vertices().iter().all(|&n| n > 1000), "{:?}", baked.vertices());
+    let picture = baked.picture(ORIGIN, directions);
+    let (worst, mean) = apart(&picture.shown, &direct);
+    assert!(worst < 0.05 && mean < 0.004, "baked differs by {worst}, {mean} in the mean");
+}
+
+#[test]
+fn a_baked_picture_follows_an_edit() {
+    let model = soft();
+    let directions = directions();
+    let mut baked = BakedFace::new(&model, &[-1.0, -1.0], ORIGIN);
+    let mut picture = baked.picture(ORIGIN, directions.clone());
+    baked.edit(&[0.8, -1.0]);
+    let sent = baked.redraw(&mut picture);
+    assert!(sent > 0, "the edit changes nothing");
+    let anew = BakedFace::new(&model, &[0.8, -1.0], ORIGIN).picture(ORIGIN, directions);
+    let (worst, _) = apart(&picture.shown, &anew.shown);
+    assert!(worst < 0.01, "an edit differs from baking anew by {worst}");
+    baked.edit(&[0.8, -1.0]);
+    assert_eq!(baked.redraw(&mut picture), 0, "nothing changed");
+}
