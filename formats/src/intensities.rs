@@ -79,18 +79,12 @@ impl Intensities {
 
     /// Writes the file, whole or not at all.
     pub fn write(&self, dataset: impl AsRef<Path>) -> Result<()> {
-        let mut text = String::from("id");
-        for unit in &self.units {
-            text += &format!(",{unit}");
-        }
-        for (id, values) in &self.rows {
-            text.push('\n');
-            text.push_str(id);
-            for value in values {
-                text += &format!(",{value}");
-            }
-        }
-        text.push('\n');
+        let line = |first: &str, rest: Vec<String>| {
+            std::iter::once(first.to_owned()).chain(rest).collect::<Vec<_>>().join(",")
+        };
+        let head = line("id", self.units.iter().map(ToString::to_string).collect());
+        let rows = self.rows.iter().map(|(id, values)| line(id, values.iter().map(ToString::to_string).collect()));
+        let text = std::iter::once(head).chain(rows).collect::<Vec<_>>().join("\n") + "\n";
         atomic::write_file(path(dataset), text.as_bytes())
     }
 }

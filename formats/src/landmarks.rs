@@ -101,17 +101,15 @@ mod tests {
     #[test]
     fn a_symmetric_face_stays_symmetric_when_tilted_and_a_crooked_mouth_shows() {
         let mut points = [[0.0f32; 2]; 68];
-        for i in 0..68 {
+        for (i, point) in points.iter_mut().enumerate() {
             let j = mirror_of(i);
-            let side = if i == j {
-                0.0
-            } else if i < j {
-                -1.0
-            } else {
-                1.0
+            let side = match i.cmp(&j) {
+                std::cmp::Ordering::Equal => 0.0,
+                std::cmp::Ordering::Less => -1.0,
+                std::cmp::Ordering::Greater => 1.0,
             };
             let low = i.min(j) as f32;
-            points[i] = [side * (20.0 + (low * 7.3) % 31.0), (low * 11.7) % 97.0];
+            *point = [side * (20.0 + (low * 7.3) % 31.0), (low * 11.7) % 97.0];
         }
         let (sin, cos) = 0.3f32.sin_cos();
         let tilted = points.map(|[x, y]| [cos * x - sin * y + 200.0, sin * x + cos * y + 90.0]);

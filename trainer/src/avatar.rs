@@ -46,7 +46,7 @@ pub struct Avatar {
 }
 
 enum Fitted {
-    Confies { saved: SavedConfies, model: Box<ConfiesModel>, device: Device },
+    Confies { saved: Box<SavedConfies>, model: Box<ConfiesModel>, device: Device },
     Brick { model: Box<Brick>, plate: Option<Plate> },
 }
 
@@ -61,7 +61,7 @@ impl Avatar {
         let field = match &saved.field {
             SavedField::Confies(confies) => {
                 let model = Box::new(saved.load_confies(confies, run, device)?.no_grad());
-                Fitted::Confies { saved: confies.clone(), model, device: device.clone() }
+                Fitted::Confies { saved: Box::new(confies.clone()), model, device: device.clone() }
             }
             SavedField::Brick(brick) => {
                 let read = store::read(&run.join("model.safetensors"), brick, Content::Avatar, &[])?;

@@ -95,18 +95,15 @@ impl<'a> Studio<'a> {
         let Some((model, _)) = self.avatar.brick() else { return };
         let origin = camera.center().as_vec3().to_array();
         if self.look.baked {
-            match &mut self.baked {
-                Some((face, wears)) => {
-                    if wears != attributes {
-                        face.edit(attributes);
-                        wears.clone_from(&attributes.to_vec());
-                    }
+            if let Some((face, wears)) = &mut self.baked {
+                if wears != attributes {
+                    face.edit(attributes);
+                    attributes.clone_into(wears);
                 }
-                None => {
-                    // Colours are those seen from where the head was seen at rest.
-                    let eye = Camera::from(&self.avatar.saved.default_camera).center().as_vec3().to_array();
-                    self.baked = Some((BakedFace::new(model, attributes, eye), attributes.to_vec()));
-                }
+            } else {
+                // Colours are those seen from where the head was seen at rest.
+                let eye = Camera::from(&self.avatar.saved.default_camera).center().as_vec3().to_array();
+                self.baked = Some((BakedFace::new(model, attributes, eye), attributes.to_vec()));
             }
         }
         let same_camera = self.last.as_ref().is_some_and(|l| l.camera == *camera);
@@ -124,14 +121,13 @@ impl<'a> Studio<'a> {
             (last, baked) => {
                 let wanted = self.avatar.wanted(camera);
                 let directions: Vec<[f32; 3]> = wanted.iter().map(|(_, d)| d.to_array()).collect();
-                let picture = match baked {
-                    Some((face, _)) => Picture::Baked(face.picture(origin, directions.clone())),
-                    None => {
-                        let mut face = Face::new(model, attributes);
-                        face.skips = self.look.skips;
-                        let shown = face.render(origin, &directions);
-                        Picture::Direct { face, shown }
-                    }
+                let picture = if let Some((face, _)) = baked {
+                    Picture::Baked(face.picture(origin, directions.clone()))
+                } else {
+                    let mut face = Face::new(model, attributes);
+                    face.skips = self.look.skips;
+                    let shown = face.render(origin, &directions);
+                    Picture::Direct { face, shown }
                 };
                 *last = Some(Last { camera: *camera, wanted, directions, picture });
             }

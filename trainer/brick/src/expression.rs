@@ -48,6 +48,9 @@ pub struct Expression {
 
 impl Expression {
     /// Zero residuals for AUs and `codes` latent numbers; `hull(vertex position)` gives the bits of the regions that hold a point.
+    ///
+    /// # Panics
+    /// With more regions than [`REST`]; callers check what they were given.
     pub fn new(
         vertices: [usize; 3],
         mut region_of: Vec<usize>,

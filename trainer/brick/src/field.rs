@@ -63,6 +63,9 @@ pub struct FieldGrad {
 
 impl Field {
     /// Small random features, uniform weights after He.
+    ///
+    /// # Panics
+    /// With more than [`LEVELS`] levels.
     pub fn new(levels: Vec<Lattice>, rng: &mut impl Rng) -> Self {
         assert!(levels.len() <= LEVELS, "at most {LEVELS} levels");
         let features = levels

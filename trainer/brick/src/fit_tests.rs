@@ -56,7 +56,7 @@ impl Views for Ball {
         let (sin, cos) = self.angle(view).sin_cos();
         for _ in 0..rays {
             let (u, v) = (rng.random::<f32>() - 0.5, rng.random::<f32>() - 0.5);
-            let d = [u * cos + sin * -1.0, v, u * sin + cos];
+            let d = [u * cos - sin, v, u * sin + cos];
             let n = crate::math::dot(d, d).sqrt();
             let direction = d.map(|x| x / n);
             let o = self.origin(view);

@@ -25,6 +25,10 @@ pub struct Lattice {
     pub sparse: bool,
 }
 
+/// From a vertex to its neighbours along y and z in the same brick.
+const Y: u32 = EDGE as u32;
+const Z: u32 = (EDGE * EDGE) as u32;
+
 /// The eight corners around a point.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Corners {
@@ -115,8 +119,6 @@ impl Lattice {
         let local = inside[2] * EDGE * EDGE + inside[1] * EDGE + inside[0];
         if inside.iter().all(|&i| i < EDGE - 1) {
             let at = self.slot[brick] * BRICK as u32 + local as u32;
-            const Y: u32 = EDGE as u32;
-            const Z: u32 = (EDGE * EDGE) as u32;
             return Corners {
                 index: [at, at + 1, at + Y, at + Y + 1, at + Z, at + Z + 1, at + Z + Y, at + Z + Y + 1],
                 t,

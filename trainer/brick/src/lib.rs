@@ -12,6 +12,9 @@
 //!
 //! Lengths are world units outside and the head box's [−1, 1]³ inside; colours are 0–1; attributes −1..1.
 
+#![allow(clippy::inline_always, reason = "kernels are compiled once per instruction set, with all they call inside")]
+#![allow(clippy::needless_range_loop, reason = "loops over axes, channels and parts index several arrays at once")]
+
 mod bake;
 pub mod cull;
 pub mod evaluate;

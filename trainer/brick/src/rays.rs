@@ -34,8 +34,8 @@ struct Behind {
     suffix: f32,
     /// Σ weight, Σ weight · distance of all samples of the ray.
     total: [f32; 2],
-    /// The same of those behind.
-    behind: [f32; 2],
+    /// The same of those passed on the way back.
+    passed: [f32; 2],
 }
 
 /// What is asked of the density besides explaining the pixels.
@@ -140,7 +140,7 @@ impl Pass {
         self.samples.d_color.resize(n, [0.0; 3]);
         for ray in rays.iter_mut() {
             ray.total = [0.0; 2];
-            ray.behind = [0.0; 2];
+            ray.passed = [0.0; 2];
         }
         for i in 0..n {
             let w = self.before[i] * self.alpha[i].max(0.0);
@@ -158,8 +158,8 @@ impl Pass {
             let (d, color, before) = (d_color[ray], self.color[i], self.before[i]);
             let ray = &mut rays[ray];
             let (w, t) = (before * alpha, self.along[i]);
-            let front = [ray.total[0] - ray.behind[0] - w, ray.total[1] - ray.behind[1] - w * t];
-            let apart = t * front[0] - front[1] + ray.behind[1] - t * ray.behind[0];
+            let front = [ray.total[0] - ray.passed[0] - w, ray.total[1] - ray.passed[1] - w * t];
+            let apart = t * front[0] - front[1] + ray.passed[1] - t * ray.passed[0];
             let g = math::dot(d, color) + prior.spread * (2.0 * apart + 2.0 / 3.0 * w * step);
             let sigma = math::density(self.samples.density(i));
             let d_sigma = step * (before * (1.0 - alpha) * g - ray.suffix);
@@ -167,7 +167,7 @@ impl Pass {
             self.samples.d_density[i] = (d_sigma + thin) * sigma;
             self.samples.d_color[i] = std::array::from_fn(|c| w * d[c] * color[c] * (1.0 - color[c]));
             ray.suffix += w * g;
-            ray.behind = [ray.behind[0] + w, ray.behind[1] + w * t];
+            ray.passed = [ray.passed[0] + w, ray.passed[1] + w * t];
         }
     }
 

@@ -72,7 +72,9 @@ impl<'a> Face<'a> {
             let mut stale = vec![false; self.model.expression.lattice.slots];
             for (n, slots) in self.model.expression.slots_of.iter().enumerate() {
                 if changed >> n & 1 == 1 {
-                    slots.iter().for_each(|&s| stale[s as usize] = true);
+                    for &slot in slots {
+                        stale[slot as usize] = true;
+                    }
                 }
             }
             self.blend_again(|slot| stale[slot]);
@@ -92,11 +94,12 @@ impl<'a> Face<'a> {
     /// What rays from `origin` along `directions` (unit, world) show, in parallel.
     pub fn render(&self, origin: [f32; 3], directions: &[[f32; 3]]) -> Vec<Shown> {
         let mut out = vec![Shown::default(); directions.len()];
-        out.par_chunks_mut(CHUNK)
-            .zip(directions.par_chunks(CHUNK))
-            .for_each_init(Rays::default, |rays, (out, directions)| {
-                self.send(rays, origin, directions, |i, shown| out[i] = shown)
-            });
+        out.par_chunks_mut(CHUNK).zip(directions.par_chunks(CHUNK)).for_each_init(
+            Rays::default,
+            |rays, (out, directions)| {
+                self.send(rays, origin, directions, |i, shown| out[i] = shown);
+            },
+        );
         out
     }
 

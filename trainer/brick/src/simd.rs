@@ -190,6 +190,7 @@ impl Simd for Scalar {
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
+    #[allow(clippy::wildcard_imports, reason = "thirty intrinsics, each named after what it does")]
     use std::arch::x86_64::*;
 
     use super::Simd;

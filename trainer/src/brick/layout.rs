@@ -98,8 +98,7 @@ fn background(data: &TrainData, camera: &MeanCamera, head: &HeadBox) -> Backgrou
             }
         }
     }
-    for a in 0..2 {
-        let values = &mut seen[a];
+    for (a, values) in seen.iter_mut().enumerate() {
         values.sort_by(f32::total_cmp);
         let at = |q: f64| {
             values.get((values.len() as f64 * q) as usize).copied().unwrap_or(if q < 0.5 { -1.0 } else { 1.0 })

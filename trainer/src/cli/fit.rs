@@ -99,18 +99,22 @@ pub(super) fn run(args: &FitArgs, console: &Console) -> Result<(), Failure> {
     }
 }
 
+/// What `settings.toml` of a run says first.
+#[derive(Deserialize)]
+struct Begun {
+    #[serde(default = "confies")]
+    field: String,
+}
+
+/// Runs of before there were two fields do not say.
+fn confies() -> String {
+    "confies".to_owned()
+}
+
 /// The field of the run to resume, else what was asked for.
 fn resolve_field(args: &FitArgs) -> Result<String, Failure> {
     if !args.resume {
         return Ok(args.field.clone().unwrap_or_else(|| "brick".to_owned()));
-    }
-    #[derive(Deserialize)]
-    struct Begun {
-        #[serde(default = "confies")]
-        field: String,
-    }
-    fn confies() -> String {
-        "confies".to_owned()
     }
     let Begun { field } = read_settings(&args.out)?;
     match &args.field {

@@ -92,22 +92,16 @@ pub(super) fn table(fits: &[Fit]) -> String {
 /// All rows and all kinds of PSNR.
 pub(super) fn csv(fits: &[&Fit]) -> String {
     let keys: std::collections::BTreeSet<&String> = fits.iter().flat_map(|f| f.psnr_db.keys()).collect();
-    let mut text = String::from("name,steps,wall_secs,cpu_secs,peak_mib,samples_per_sec,floor_share");
-    for key in &keys {
-        text.push_str(&format!(",psnr_db {key}"));
-    }
-    for f in fits {
-        text.push_str(&format!(
-            "\n{},{},{:.3},{:.3},{:.1},{:.0},{:.4}",
+    let mut head = vec!["name,steps,wall_secs,cpu_secs,peak_mib,samples_per_sec,floor_share".to_owned()];
+    head.extend(keys.iter().map(|key| format!("psnr_db {key}")));
+    let row = |f: &&Fit| {
+        let mut cells = vec![format!(
+            "{},{},{:.3},{:.3},{:.1},{:.0},{:.4}",
             f.name, f.steps, f.wall_secs, f.cpu_secs, f.peak_mib, f.samples_per_sec, f.floor_share
-        ));
-        for key in &keys {
-            text.push(',');
-            if let Some(v) = f.psnr_db.get(*key) {
-                text.push_str(&format!("{v:.3}"));
-            }
-        }
-    }
-    text.push('\n');
-    text
+        )];
+        cells.extend(keys.iter().map(|key| f.psnr_db.get(*key).map_or_else(String::new, |v| format!("{v:.3}"))));
+        cells.join(",")
+    };
+    let lines: Vec<String> = std::iter::once(head.join(",")).chain(fits.iter().map(row)).collect();
+    lines.join("\n") + "\n"
 }
