@@ -14,7 +14,7 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::lattice::{BRICK, Lattice};
+use crate::lattice::{BRICK, EDGE, Lattice};
 use crate::simd::{self, Simd, Task};
 use crate::table::{Table, TableGrad};
 
@@ -166,58 +166,88 @@ impl Expression {
     }
 }
 
-/// Moves each number of a residual brick by `share` towards the mean of its neighbours inside the brick; displacements
-/// by `warp_share`. What few pixels have taught then follows what many have.
-fn smooth_brick(values: &mut [f32], before: &mut Vec<f32>, share: f32, warp_share: f32) {
-    const EDGE: usize = crate::lattice::EDGE;
-    before.clear();
-    before.extend_from_slice(values);
-    let at = |x: usize, y: usize, z: usize| ((z * EDGE + y) * EDGE + x) * CHANNELS;
-    let shares = [share, share, share, share, warp_share, warp_share, warp_share, share];
-    for z in 0..EDGE {
-        for y in 0..EDGE {
-            for x in 0..EDGE {
-                let mut sum = [0.0f32; CHANNELS];
-                let mut count = 0.0;
-                let mut add = |i: usize| {
-                    count += 1.0;
-                    for (s, v) in sum.iter_mut().zip(&before[i..i + CHANNELS]) {
-                        *s += v;
-                    }
-                };
-                for (low, high, i, stride) in [
-                    (x > 0, x + 1 < EDGE, at(x, y, z), CHANNELS),
-                    (y > 0, y + 1 < EDGE, at(x, y, z), EDGE * CHANNELS),
-                    (z > 0, z + 1 < EDGE, at(x, y, z), EDGE * EDGE * CHANNELS),
-                ] {
-                    if low {
-                        add(i - stride);
-                    }
-                    if high {
-                        add(i + stride);
-                    }
-                }
-                let i = at(x, y, z);
-                for c in 0..CHANNELS {
-                    values[i + c] += shares[c] * (sum[c] / count - before[i + c]);
-                }
-            }
-        }
-    }
-}
-
 impl Expression {
-    /// Smooths all residuals that were ever touched.
+    /// Moves each number of every residual that was ever touched by `share` towards the mean of its neighbours,
+    /// displacements by `warp_share`: what few pixels have taught then follows what many have. Neighbours reach across
+    /// bricks, or their borders would show as seams.
     pub fn smooth(&mut self, share: f32, warp_share: f32) {
-        self.residuals.par_iter_mut().for_each(|table| {
-            let mut before = Vec::new();
-            let Table { values, steps, block, .. } = table;
-            for (brick, &steps) in values.chunks_exact_mut(*block).zip(steps.iter()) {
-                if steps > 0 {
-                    smooth_brick(brick, &mut before, share, warp_share);
+        let shares = [share, share, share, share, warp_share, warp_share, warp_share, share];
+        let bricks = self.lattice.bricks();
+        let mut brick_of = vec![usize::MAX; self.lattice.slots];
+        for (brick, &slot) in self.lattice.slot.iter().enumerate().filter(|(_, s)| **s != 0) {
+            brick_of[slot as usize] = brick;
+        }
+        let around: Vec<Vec<[Option<usize>; 6]>> =
+            self.slots_of.iter().map(|slots| blocks_around(slots, &brick_of, bricks)).collect();
+        let Self { residuals, region_of, .. } = self;
+        residuals.par_iter_mut().zip(region_of).for_each(|(table, &mut region)| {
+            let before = table.values.clone();
+            for (block, around) in around[region].iter().enumerate() {
+                if table.steps[block] > 0 {
+                    let values = &mut table.values[block * BRICK * CHANNELS..(block + 1) * BRICK * CHANNELS];
+                    smooth_brick(values, &before, block, around, &shares);
                 }
             }
         });
+    }
+}
+
+/// For each block of a region the blocks beside it: −x, +x, −y, +y, −z, +z.
+fn blocks_around(slots: &[u32], brick_of: &[usize], bricks: [usize; 3]) -> Vec<[Option<usize>; 6]> {
+    let strides = [1, bricks[0], bricks[0] * bricks[1]];
+    let block_at = |brick: usize| slots.iter().position(|&s| brick_of[s as usize] == brick);
+    slots
+        .iter()
+        .map(|&slot| {
+            let brick = brick_of[slot as usize];
+            std::array::from_fn(|side| {
+                let axis = side / 2;
+                let at = brick / strides[axis] % bricks[axis];
+                if side % 2 == 0 {
+                    (at > 0).then(|| block_at(brick - strides[axis])).flatten()
+                } else {
+                    (at + 1 < bricks[axis]).then(|| block_at(brick + strides[axis])).flatten()
+                }
+            })
+        })
+        .collect()
+}
+
+/// Smooths one brick; `before` are all values of its table before any was moved.
+fn smooth_brick(
+    values: &mut [f32],
+    before: &[f32],
+    block: usize,
+    around: &[Option<usize>; 6],
+    shares: &[f32; CHANNELS],
+) {
+    const STRIDES: [usize; 3] = [1, EDGE, EDGE * EDGE];
+    for i in 0..BRICK {
+        let mut sum = [0.0f32; CHANNELS];
+        let mut count = 0.0;
+        for side in 0..6 {
+            let (axis, up) = (side / 2, side % 2 == 1);
+            let at = i / STRIDES[axis] % EDGE;
+            let inside = if up { at + 1 < EDGE } else { at > 0 };
+            // The vertex beside this one, or the first one of the brick beside this one.
+            let (neighbour, vertex) = match (inside, up) {
+                (true, true) => (Some(block), i + STRIDES[axis]),
+                (true, false) => (Some(block), i - STRIDES[axis]),
+                (false, true) => (around[side], i - (EDGE - 1) * STRIDES[axis]),
+                (false, false) => (around[side], i + (EDGE - 1) * STRIDES[axis]),
+            };
+            if let Some(neighbour) = neighbour {
+                let from = (neighbour * BRICK + vertex) * CHANNELS;
+                count += 1.0;
+                for (s, v) in sum.iter_mut().zip(&before[from..from + CHANNELS]) {
+                    *s += v;
+                }
+            }
+        }
+        let own = (block * BRICK + i) * CHANNELS;
+        for c in 0..CHANNELS {
+            values[i * CHANNELS + c] += shares[c] * (sum[c] / count - before[own + c]);
+        }
     }
 }
 
@@ -273,5 +303,51 @@ impl Task for UnblendBrick<'_> {
             }
         }
         sum.iter().sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two bricks side by side, one AU.
+    fn pair() -> Expression {
+        Expression::new([16, 8, 8], vec![0], 1, 0, |_| 1)
+    }
+
+    #[test]
+    fn smoothing_reaches_across_bricks_and_keeps_what_is_even() {
+        let mut e = pair();
+        assert_eq!(e.slots_of[0].len(), 2);
+        e.residuals[0].values.fill(0.25);
+        e.residuals[0].steps.fill(1);
+        e.smooth(0.5, 0.5);
+        assert!(e.residuals[0].values.iter().all(|v| (v - 0.25).abs() < 1e-6));
+        // A spike on the border: half of it stays, and every neighbour, the one beyond the border too, gets its share.
+        let spike = (7 + EDGE + EDGE * EDGE) * CHANNELS;
+        e.residuals[0].values.fill(0.0);
+        e.residuals[0].values[spike] = 1.0;
+        e.smooth(0.5, 0.5);
+        let v = &e.residuals[0].values;
+        let beyond = (BRICK + EDGE + EDGE * EDGE) * CHANNELS;
+        assert!((v[spike] - 0.5).abs() < 1e-6);
+        for neighbour in [spike - CHANNELS, spike + EDGE * CHANNELS, beyond] {
+            assert!((v[neighbour] - 0.5 / 6.0).abs() < 1e-6, "{}", v[neighbour]);
+        }
+    }
+
+    #[test]
+    fn what_no_region_allows_stays_zero() {
+        let e = Expression::new([16, 8, 8], vec![0], 1, 0, |p| u8::from(p[0] < 0.0));
+        let gates = e.gates();
+        let mut blend = Vec::new();
+        let mut full = e.clone();
+        full.residuals[0].values.fill(1.0);
+        full.residuals[0].steps.fill(1);
+        full.blend(&gates, &[1.0], &mut blend);
+        for (vertex, row) in blend.as_chunks::<CHANNELS>().0.iter().enumerate() {
+            let expected = if e.allowed[vertex] & 1 == 1 { 0.5 } else { 0.0 };
+            assert!(row.iter().all(|&v| v == expected), "vertex {vertex}: {row:?}");
+        }
     }
 }
