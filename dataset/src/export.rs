@@ -4,7 +4,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
-use polars::prelude::{Column, DataFrame, ParquetWriter};
 use risorius_formats::atomic::{self, AtomicDir};
 use risorius_formats::nerfies::{self, Dataset};
 use risorius_formats::pose_report::write_json;
@@ -13,13 +12,11 @@ use serde::Serialize;
 
 use crate::build::DATASET_FILE;
 use crate::error::{DatasetError, Result};
+use crate::tables::{camera_columns, column, write_table};
 use crate::{SCALES, TAKE_OFFSET};
 
 const TRANSFORMS_FILE: &str = "transforms.json";
 const FRAMES_FILE: &str = "frames.parquet";
-
-/// A number of a camera.
-type OfCamera<'a> = &'a dyn Fn(&Camera) -> f64;
 
 /// A layout to export to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -254,44 +251,9 @@ fn to_parquet(dataset: &Dataset, dir: &Path, out: &Path) -> Result<usize> {
         let intensity = |id| Some(spec?.intensity_from_attribute(value(id)?));
         columns.push(column(&format!("{name}_intensity"), ids.iter().map(intensity).collect::<Vec<_>>()));
     }
-    let of_camera = |f: &dyn Fn(&Camera) -> f64| ids.iter().map(|id| f(&dataset.cameras[id])).collect::<Vec<f64>>();
-    columns.push(column("width", ids.iter().map(|id| dataset.cameras[id].intrinsics.width).collect::<Vec<_>>()));
-    columns.push(column("height", ids.iter().map(|id| dataset.cameras[id].intrinsics.height).collect::<Vec<_>>()));
-    let numbers: [(&str, OfCamera<'_>); 19] = [
-        ("fx", &|c| c.intrinsics.fx),
-        ("fy", &|c| c.intrinsics.fy),
-        ("cx", &|c| c.intrinsics.cx),
-        ("cy", &|c| c.intrinsics.cy),
-        ("k1", &|c| c.intrinsics.distortion.radial[0]),
-        ("k2", &|c| c.intrinsics.distortion.radial[1]),
-        ("k3", &|c| c.intrinsics.distortion.radial[2]),
-        ("p1", &|c| c.intrinsics.distortion.tangential[0]),
-        ("p2", &|c| c.intrinsics.distortion.tangential[1]),
-        ("camera_from_world_qw", &|c| c.camera_from_world.to_wxyz()[0]),
-        ("camera_from_world_qx", &|c| c.camera_from_world.to_wxyz()[1]),
-        ("camera_from_world_qy", &|c| c.camera_from_world.to_wxyz()[2]),
-        ("camera_from_world_qz", &|c| c.camera_from_world.to_wxyz()[3]),
-        ("camera_from_world_tx", &|c| c.camera_from_world.translation.x),
-        ("camera_from_world_ty", &|c| c.camera_from_world.translation.y),
-        ("camera_from_world_tz", &|c| c.camera_from_world.translation.z),
-        ("center_in_world_x", &|c| c.center().x),
-        ("center_in_world_y", &|c| c.center().y),
-        ("center_in_world_z", &|c| c.center().z),
-    ];
-    columns.extend(numbers.iter().map(|(name, f)| column(name, of_camera(f))));
-    let mut frame = DataFrame::new_infer_height(columns).map_err(|e| DatasetError::encode(&path, &e))?;
-    let mut bytes = Vec::new();
-    ParquetWriter::new(&mut bytes).finish(&mut frame).map_err(|e| DatasetError::encode(&path, &e))?;
-    atomic::write_file(&path, &bytes)?;
+    columns.extend(camera_columns(&ids.iter().map(|id| &dataset.cameras[id]).collect::<Vec<_>>()));
+    write_table(&path, columns)?;
     Ok(1)
-}
-
-fn column<T, P: ?Sized>(name: &str, values: T) -> Column
-where
-    polars::prelude::Series: polars::prelude::NamedFrom<T, P>,
-{
-    let series: polars::prelude::Series = polars::prelude::NamedFrom::new(name.into(), values);
-    series.into()
 }
 
 #[cfg(test)]

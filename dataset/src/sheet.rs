@@ -36,6 +36,9 @@ pub fn thumbnail(image: &RgbImage, job: &Job, styles: &[RegionStyle]) -> Thumbna
     let (width, height) = (job.camera.intrinsics.width, job.camera.intrinsics.height);
     let divisor = [1, 2, 4].into_iter().find(|d| width / d <= MAX_WIDTH).unwrap_or(8);
     let mut small = scale::reduced(image, divisor);
+    if let Some(head) = &job.head {
+        raster::dim_outside(&mut small, &raster::hull_mask(head, &job.camera.reduced(divisor)));
+    }
     if let Some(polygons) = &job.polygons {
         raster::tint(
             &mut small,

@@ -29,6 +29,7 @@ pub mod colmap;
 pub mod error;
 pub mod frame;
 pub mod hash;
+pub mod head_hull;
 pub mod landmarks;
 pub mod mask;
 pub mod nerfies;
