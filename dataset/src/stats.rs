@@ -183,7 +183,8 @@ pub(crate) fn collect(rows: &Rows, takes: Vec<TakeReport>, options: &BuildOption
         sampling: options.sampling,
         candidates: usable.len(),
         rejected_masks,
-        chosen: chosen.len(),
+        // Frames of other programs may be chosen without any attribute.
+        chosen: rows.takes.iter().flat_map(|t| &t.frames).filter(|f| f.id.is_some()).count(),
         chosen_without_masks: chosen.iter().filter(|&&c| usable[c].row.masks.as_deref() != Some("ok")).count(),
         levels: options.levels,
         evenness_before: evenness_of(&before),

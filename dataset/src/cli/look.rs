@@ -1,14 +1,12 @@
-//! `dataset stats`, `dataset verify` and `dataset export`.
+//! `dataset stats` and `dataset verify`.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use clap::ValueEnum;
 use risorius_console::{Console, Failure};
 use risorius_formats::pose_report::json_error;
 use risorius_formats::{ErrorKind, FormatError};
 
-use crate::export::{self, Target};
 use crate::{BuildOptions, Report, compare, plot, survey, tables, verify};
 
 /// Show how a dataset was chosen and how even its AU intensities are.
@@ -35,42 +33,13 @@ pub(super) struct StatsArgs {
 
 /// Open a dataset as a stranger would and list every problem.
 ///
-/// Plain Nerfies, HyperNeRF and CoNeRF folders can be checked, too. Exit status 1 if there is any problem; with --json
+/// Plain Nerfies, HyperNeRF and CoNeRF folders, transforms.json, COLMAP and Parquet exports can be checked, too. Exit status 1 if there is any problem; with --json
 /// the document lists them as `problems`, each with `path` and `message`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  dataset verify datasets/ada")]
 pub(super) struct VerifyArgs {
     /// Folder of the dataset
     dataset: PathBuf,
-}
-
-/// Write a dataset in another layout.
-///
-/// nerfies: without our additions. Nerfies and HyperNeRF open it as it is; the released CoNeRF and CoNFies loaders also
-/// want rgb/<s>x/<id>_depth.npy, which no video holds and which is not made up here.
-/// transforms: transforms.json with OpenGL axes and pictures, for nerfstudio and instant-ngp.
-/// parquet: a table with a row per frame.
-#[derive(Debug, clap::Args)]
-#[command(
-    after_help = "Example:\n  dataset export datasets/ada --to transforms --out exports/ada",
-    verbatim_doc_comment
-)]
-pub(super) struct ExportArgs {
-    /// Folder of the dataset
-    dataset: PathBuf,
-    /// The layout
-    #[arg(long, value_enum)]
-    to: Layout,
-    /// Where it goes; an older folder there is replaced
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Layout {
-    Nerfies,
-    Transforms,
-    Parquet,
 }
 
 pub(super) fn stats(args: &StatsArgs, console: &Console) -> Result<(), Failure> {
@@ -254,18 +223,4 @@ pub(super) fn verify(args: &VerifyArgs, console: &Console) -> Result<(), Failure
     let count = verdict.problems.len();
     let message = format!("{}: {count} problem{}", args.dataset.display(), if count == 1 { "" } else { "s" });
     Err(Failure::input(message).with_hint("put back what is missing or damaged, or build the dataset again"))
-}
-
-pub(super) fn export(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
-    let target = match args.to {
-        Layout::Nerfies => Target::Nerfies,
-        Layout::Transforms => Target::Transforms,
-        Layout::Parquet => Target::Parquet,
-    };
-    let done = export::export(&args.dataset, target, &args.out, console)?;
-    if matches!(args.to, Layout::Nerfies) {
-        console.say("note: the released CoNeRF and CoNFies loaders also want rgb/<s>x/<id>_depth.npy; a video has no depth, so none is written");
-    }
-    console.finish(&done, &format!("{}: {} frames in {} files", args.out.display(), done.frames, done.files));
-    Ok(())
 }
