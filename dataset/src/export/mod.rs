@@ -161,9 +161,15 @@ fn image_name(id: &str) -> String {
     format!("{IMAGES_DIR}/{id}.png")
 }
 
+/// Brings the camera files over as they are: a position that is read and written again may lose its last bit.
+fn copy_cameras(dataset: &Dataset, dir: &Path, out: &Path) -> Result<()> {
+    dataset.ids.iter().try_for_each(|id| copy(&nerfies::camera_path(dir, id), &nerfies::camera_path(out, id)))
+}
+
 fn to_nerfies(dataset: &Dataset, dir: &Path, out: &Path, reporter: &dyn Reporter) -> Result<()> {
     let plain = Dataset { extras: None, ..dataset.clone() };
     plain.write(out)?;
+    copy_cameras(dataset, dir, out)?;
     let scales = scales_in(dir);
     reporter.stage("copy pictures", Some((scales.len() * dataset.ids.len()) as u64));
     for scale in scales {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use risorius_formats::nerfies::{self, Dataset};
 
-use super::{copy, make};
+use super::{copy, copy_cameras, make};
 use crate::error::Result;
 use crate::provenance::TAKES_FILE;
 
@@ -15,6 +15,7 @@ pub const SIDECAR_DIR: &str = "risorius";
 pub(super) fn write(dataset: &Dataset, dir: &Path, scales: &[u32], out: &Path) -> Result<()> {
     let out = out.join(SIDECAR_DIR);
     dataset.write(&out)?;
+    copy_cameras(dataset, dir, &out)?;
     for name in ["attributes.toml", TAKES_FILE] {
         if dir.join(name).is_file() {
             copy(&dir.join(name), &out.join(name))?;

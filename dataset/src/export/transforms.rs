@@ -96,9 +96,7 @@ const FLIP: DMat3 = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
 pub fn opengl_world_from_camera(camera: &Camera) -> [[f64; 4]; 4] {
     let pose = camera.camera_from_world;
     let rotation = pose.rotation.transpose() * FLIP;
-    // The true inverse: rotations of rounded numbers are orthonormal to 1e-7 only, and positions shall keep their bits.
-    let center = -(pose.rotation.inverse() * pose.translation);
-    let rows = Isometry::new(rotation, center).to_rows();
+    let rows = Isometry::new(rotation, camera.center()).to_rows();
     [rows[0], rows[1], rows[2], [0.0, 0.0, 0.0, 1.0]]
 }
 

@@ -48,6 +48,8 @@ pub(crate) struct Imported {
     pub(crate) provenance: Provenance,
     /// Outlines by id, with AUs for labels.
     pub(crate) polygons: BTreeMap<String, nerfies::Polygons>,
+    /// Camera files that can be copied as they are.
+    pub(crate) cameras: BTreeMap<String, std::path::PathBuf>,
     /// The folder with masks that can be copied as they are.
     pub(crate) masks: Option<std::path::PathBuf>,
 }
@@ -82,7 +84,11 @@ pub fn import(from: &Path, out: &Path, options: &ImportOptions, reporter: &dyn R
 fn own(from: &Path, layout: Layout, sidecar: &Path) -> Result<Imported> {
     let mut dataset = Dataset::read(sidecar)?;
     let table = AttributeTable::read(sidecar.join("attributes.toml"))?;
+    let before = dataset.cameras.clone();
     layout::take_cameras(from, layout, &mut dataset)?;
+    let folder = if layout == Layout::Nerfies { from } else { sidecar };
+    let kept = |id: &&String| layout == Layout::Nerfies || dataset.cameras[*id] == before[*id];
+    let cameras = dataset.ids.iter().filter(kept).map(|id| (id.clone(), nerfies::camera_path(folder, id))).collect();
     let mut polygons = BTreeMap::new();
     for id in &dataset.ids {
         let path = nerfies::polygons_path(sidecar, id);
@@ -91,14 +97,14 @@ fn own(from: &Path, layout: Layout, sidecar: &Path) -> Result<Imported> {
         }
     }
     let provenance = Provenance::read(sidecar)?;
-    Ok(Imported { dataset, table, provenance, polygons, masks: Some(sidecar.to_owned()) })
+    Ok(Imported { dataset, table, provenance, polygons, cameras, masks: Some(sidecar.to_owned()) })
 }
 
 /// A picture to copy: from where, its scale, its id.
 pub(crate) type Picture = (std::path::PathBuf, u32, String);
 
 fn write(imported: &Imported, pictures: &[Picture], dir: &Path, reporter: &dyn Reporter) -> Result<Report> {
-    let Imported { dataset, table, provenance, polygons, masks } = imported;
+    let Imported { dataset, table, provenance, polygons, cameras, masks } = imported;
     reporter.stage("copy pictures", Some(pictures.len() as u64));
     let styles = foreign::paint_order(table, polygons);
     for (from, scale, id) in pictures {
@@ -129,6 +135,9 @@ fn write(imported: &Imported, pictures: &[Picture], dir: &Path, reporter: &dyn R
         outlines.write(nerfies::polygons_path(dir, id))?;
     }
     dataset.write(dir)?;
+    for (id, path) in cameras {
+        copy(path, &nerfies::camera_path(dir, id))?;
+    }
     table.write(dir.join("attributes.toml"))?;
     let provenance = if provenance.takes.is_empty() { unnamed(dataset) } else { provenance.clone() };
     provenance.write(dir)?;
