@@ -84,9 +84,8 @@ pub fn redact(dir: &Path, name: &str, reporter: &dyn Reporter) -> Result<Redacte
 fn settings(dir: &Path) -> Result<BuildOptions> {
     let path = dir.join("report").join("settings.toml");
     let text = std::fs::read_to_string(&path).map_err(|e| FormatError::io(&path, "read", &e))?;
-    toml::from_str(&text).map_err(|e| {
-        FormatError::new(ErrorKind::Syntax, e.message().trim().replace('\n', ", ")).in_file(&path).into()
-    })
+    toml::from_str(&text)
+        .map_err(|e| FormatError::new(ErrorKind::Syntax, e.message().trim().replace('\n', ", ")).in_file(&path).into())
 }
 
 /// The dataset without some of its ids.

@@ -79,7 +79,12 @@ fn transforms_paths(dir: &Path, verdict: &mut Verdict) -> BTreeMap<String, Strin
     file.frames.iter().filter_map(pair).collect()
 }
 
-fn check_pictures(dir: &Path, cameras: &BTreeMap<String, Camera>, paths: &BTreeMap<String, String>, verdict: &mut Verdict) {
+fn check_pictures(
+    dir: &Path,
+    cameras: &BTreeMap<String, Camera>,
+    paths: &BTreeMap<String, String>,
+    verdict: &mut Verdict,
+) {
     let work: Vec<(&Camera, &String)> = paths.iter().filter_map(|(id, p)| Some((cameras.get(id)?, p))).collect();
     let found: Vec<Verdict> = work
         .par_iter()

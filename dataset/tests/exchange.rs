@@ -78,7 +78,17 @@ fn every_export_is_clean_and_comes_back_equal() {
         assert_eq!(problems(&back), Vec::<String>::new(), "{name}");
         assert_eq!(Dataset::read(&back).unwrap(), original, "{name}");
         // Whatever a fit reads is the same in every byte, at the scale that the layout has.
-        let documents = ["dataset.json", "metadata.json", "scene.json", "camera", "annotations.yml", "mapping.yml", "annotations", "attributes.toml", "takes.toml"];
+        let documents = [
+            "dataset.json",
+            "metadata.json",
+            "scene.json",
+            "camera",
+            "annotations.yml",
+            "mapping.yml",
+            "annotations",
+            "attributes.toml",
+            "takes.toml",
+        ];
         assert_same(&files_in(&back, &documents), &files_in(&data, &documents), name);
         let mut pictures = vec!["rgb/2x", "regions/2x", "head/2x"];
         if target == Target::Nerfies {
@@ -177,8 +187,7 @@ fn a_conerf_folder_becomes_a_dataset() {
     let how = ImportOptions { units, ..ImportOptions::default() };
     let report = import(&folder, &back, &how, &Silent).unwrap();
     assert_eq!(problems(&back), Vec::<String>::new());
-    let (dataset, table) =
-        (Dataset::read(&back).unwrap(), AttributeTable::read(back.join("attributes.toml")).unwrap());
+    let (dataset, table) = (Dataset::read(&back).unwrap(), AttributeTable::read(back.join("attributes.toml")).unwrap());
     assert_eq!(dataset.mapping, ["AU46", "AU45", "AU26"]);
     assert_eq!(table.regions, ["region-1", "eye", "mouth"]);
     assert_eq!((report.chosen, report.candidates), (30, 3));
@@ -207,7 +216,10 @@ fn folders_that_cannot_be_steered_are_refused() {
             // Ours has AUs for classes: it imports as CoNFies' do, region by region.
             import(&out, &back, &ImportOptions::default(), &Silent).unwrap();
             let table = AttributeTable::read(back.join("attributes.toml")).unwrap();
-            assert_eq!((table.regions.as_slice(), table.attributes.len()), (&["brow", "eye", "mouth"].map(String::from)[..], 17));
+            assert_eq!(
+                (table.regions.as_slice(), table.attributes.len()),
+                (&["brow", "eye", "mouth"].map(String::from)[..], 17)
+            );
             let masks = ["regions", "rgb", "annotations"];
             assert_same(&files_in(&back, &masks), &files_in(&data, &masks), name);
             std::fs::remove_file(out.join("annotations.yml")).unwrap();
@@ -347,7 +359,8 @@ fn warnings_of_an_import_are_counted() {
     polygons.write(&path).unwrap();
     let units = [("left eye".to_owned(), ActionUnit(46)), ("right eye".to_owned(), ActionUnit(45))].into();
     let collected = Collected::default();
-    import(&folder, &dir.path().join("back"), &ImportOptions { units, ..ImportOptions::default() }, &collected).unwrap();
+    import(&folder, &dir.path().join("back"), &ImportOptions { units, ..ImportOptions::default() }, &collected)
+        .unwrap();
     assert_eq!(collected.count("unknown-class"), 1);
     let twice = [("left eye".to_owned(), ActionUnit(26)), ("right eye".to_owned(), ActionUnit(45))].into();
     let how = ImportOptions { units: twice, ..ImportOptions::default() };

@@ -105,8 +105,7 @@ pub(super) fn export(args: &ExportArgs, console: &Console) -> Result<(), Failure
 }
 
 pub(super) fn import(args: &ImportArgs, console: &Console) -> Result<(), Failure> {
-    let options =
-        ImportOptions { units: args.au.iter().cloned().collect(), ignore_sidecar: args.ignore_sidecar };
+    let options = ImportOptions { units: args.au.iter().cloned().collect(), ignore_sidecar: args.ignore_sidecar };
     let report = import::import(&args.folder, &args.out, &options, console)?;
     let active = report.attributes.iter().filter(|a| a.active).count();
     let text = format!(

@@ -28,7 +28,8 @@ pub(super) fn markdown(dataset: &Dataset, provenance: &Provenance, scale: u32) -
             let line = value.split_whitespace().collect::<Vec<_>>().join(" ");
             if line.is_empty() { "not stated".to_owned() } else { line }
         };
-        let _ = writeln!(text, "- take `{}`: subject: {}; consent: {}", take.name, or(&take.subject), or(&take.consent));
+        let _ =
+            writeln!(text, "- take `{}`: subject: {}; consent: {}", take.name, or(&take.subject), or(&take.consent));
     }
     text.push_str(
         "\nThe pictures show a person. Use them only as the consent allows, and do not try to find out who it is.\n\n## Files\n\n\

@@ -139,9 +139,9 @@ pub(crate) fn scales_in(dir: &Path) -> Vec<u32> {
 fn scale_of(dataset: &Dataset, dir: &Path) -> Result<u32> {
     let scales = scales_in(dir);
     let wanted = dataset.extras.as_ref().map(|e| e.default_scale).filter(|s| scales.contains(s));
-    wanted.or(scales.first().copied()).ok_or_else(|| {
-        FormatError::new(ErrorKind::Missing, "has no pictures").in_file(dir.join("rgb")).into()
-    })
+    wanted
+        .or(scales.first().copied())
+        .ok_or_else(|| FormatError::new(ErrorKind::Missing, "has no pictures").in_file(dir.join("rgb")).into())
 }
 
 /// Copies the pictures of one scale to `images/<id>.png` and returns the scale.

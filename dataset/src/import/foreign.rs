@@ -78,12 +78,18 @@ fn units(dir: &Path, mapping: &[String], options: &ImportOptions) -> Result<Vec<
         ));
     }
     if let Some(name) = options.units.keys().find(|k| !mapping.contains(k)) {
-        return Err(refused(&path, format!("has no class `{name}`"), format!("its classes are {}", mapping.join(", "))));
+        return Err(refused(
+            &path,
+            format!("has no class `{name}`"),
+            format!("its classes are {}", mapping.join(", ")),
+        ));
     }
     let units: Vec<ActionUnit> = mapping.iter().filter_map(unit).collect();
     let mut seen = BTreeSet::new();
     match units.iter().find(|u| !seen.insert(**u)) {
-        Some(twice) => Err(refused(&path, format!("two classes stand for {twice}"), "give each class an AU of its own")),
+        Some(twice) => {
+            Err(refused(&path, format!("two classes stand for {twice}"), "give each class an AU of its own"))
+        }
         None => Ok(units),
     }
 }

@@ -131,9 +131,12 @@ pub(crate) fn take_cameras(dir: &Path, layout: Layout, dataset: &mut Dataset) ->
     let theirs = cameras(dir, layout)?;
     for (id, own) in &mut dataset.cameras {
         let Some(their) = theirs.get(id) else {
-            return Err(FormatError::new(ErrorKind::Missing, format!("the layout's own files have no camera for `{id}`"))
-                .in_file(dir)
-                .into());
+            return Err(FormatError::new(
+                ErrorKind::Missing,
+                format!("the layout's own files have no camera for `{id}`"),
+            )
+            .in_file(dir)
+            .into());
         };
         let scale = scale_between(own, their).ok_or_else(|| {
             FormatError::new(ErrorKind::Inconsistent, format!("the camera of `{id}` has another picture size"))
@@ -156,7 +159,12 @@ fn same(a: &Camera, b: &Camera) -> bool {
     let (p, q) = (a.intrinsics, b.intrinsics);
     let lens = [(p.fx, q.fx), (p.fy, q.fy), (p.cx, q.cx), (p.cy, q.cy)];
     let close = |x: f64, y: f64| (x - y).abs() <= SAME * x.abs().max(1.0);
-    let distortion = p.distortion.radial.iter().zip(&q.distortion.radial).chain(p.distortion.tangential.iter().zip(&q.distortion.tangential));
+    let distortion = p
+        .distortion
+        .radial
+        .iter()
+        .zip(&q.distortion.radial)
+        .chain(p.distortion.tangential.iter().zip(&q.distortion.tangential));
     let turn = a.camera_from_world.rotation - b.camera_from_world.rotation;
     let reach = a.center().length().max(1e-9);
     lens.iter().all(|&(x, y)| close(x, y))
@@ -201,5 +209,8 @@ pub(crate) fn pictures(dir: &Path, layout: Layout, dataset: &Dataset) -> Result<
 }
 
 fn missing_picture(path: &PathBuf) -> crate::DatasetError {
-    FormatError::new(ErrorKind::Missing, "the picture is not there").in_file(path).with_hint("copy the whole folder").into()
+    FormatError::new(ErrorKind::Missing, "the picture is not there")
+        .in_file(path)
+        .with_hint("copy the whole folder")
+        .into()
 }

@@ -165,7 +165,9 @@ fn write(imported: &Imported, pictures: &[Picture], dir: &Path, reporter: &dyn R
 fn unnamed(dataset: &Dataset) -> Provenance {
     let names = dataset.extras.as_ref().map(|e| e.takes.clone()).filter(|t| !t.is_empty());
     let entry = |(number, name): (usize, String)| TakeEntry { name, number, ..TakeEntry::default() };
-    Provenance { takes: names.unwrap_or_else(|| vec!["imported".to_owned()]).into_iter().enumerate().map(entry).collect() }
+    Provenance {
+        takes: names.unwrap_or_else(|| vec!["imported".to_owned()]).into_iter().enumerate().map(entry).collect(),
+    }
 }
 
 fn about(entry: &TakeEntry, rows: &TakeRows, dataset: &Dataset) -> TakeReport {
@@ -200,7 +202,8 @@ fn rows_of(
     let axes = head_axes(dataset);
     let take_rows = |entry: &TakeEntry| {
         let mut frames: Vec<FrameRow> = Vec::new();
-        let own = dataset.ids.iter().map(|id| (id, take_and_frame(dataset, id))).filter(|(_, (t, _))| *t == entry.number);
+        let own =
+            dataset.ids.iter().map(|id| (id, take_and_frame(dataset, id))).filter(|(_, (t, _))| *t == entry.number);
         for (id, (_, frame)) in own {
             let number: Option<u32> = id.parse().ok();
             let given = number.and_then(|n| values.get(&n));
@@ -220,7 +223,11 @@ fn rows_of(
             let camera = dataset.cameras.get(id).copied();
             frames.push(FrameRow {
                 frame,
-                timestamp_nanos: if entry.fps > 0.0 { (f64::from(frame) / entry.fps * 1e9) as i64 } else { i64::from(frame) * 1_000_000_000 },
+                timestamp_nanos: if entry.fps > 0.0 {
+                    (f64::from(frame) / entry.fps * 1e9) as i64
+                } else {
+                    i64::from(frame) * 1_000_000_000
+                },
                 state: if given.is_some() { FrameState::Usable } else { FrameState::Incomplete },
                 confidence: None,
                 sharpness: None,
