@@ -123,7 +123,9 @@ proptest! {
         let bins = bins(&seen, &active, options);
         let of_bins = |chosen: &[usize]| {
             let mut counts = vec![0usize; bins.weights.len()];
-            chosen.iter().for_each(|&c| bins.of[c * bins.width..][..bins.width].iter().for_each(|&b| counts[b as usize] += 1));
+            for &c in chosen {
+                bins.of[c * bins.width..][..bins.width].iter().for_each(|&b| counts[b as usize] += 1);
+            }
             let n = chosen.len() as f64;
             let own: f64 = chosen.iter().map(|&c| bins.own[c]).sum::<f64>() / n;
             own - counts.iter().zip(&bins.weights).map(|(&c, w)| w * (0..c).map(step).sum::<f64>()).sum::<f64>() / n

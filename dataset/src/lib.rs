@@ -45,6 +45,7 @@ mod package;
 mod page;
 mod report;
 mod split_report;
+mod table_file;
 mod takes;
 mod verify_layouts;
 

@@ -226,10 +226,10 @@ pub fn check_view(
     camera: &Camera,
     view_deg: Option<[f64; 2]>,
 ) -> Result<(), Rejection> {
+    let (Some(landmarks), 68) = (landmarks, face_in_world.len()) else { return Ok(()) };
     if view_deg.is_some_and(|[yaw, _]| yaw.abs() > MAX_YAW_DEG) {
         return Err(Rejection::TurnedAway);
     }
-    let (Some(landmarks), 68) = (landmarks, face_in_world.len()) else { return Ok(()) };
     let projected: Vec<DVec2> = face_in_world.iter().map(|&p| camera.project(p)).collect();
     let eyes = projected[36].distance(projected[45]);
     let mut away: Vec<f64> = projected

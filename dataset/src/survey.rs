@@ -10,7 +10,8 @@ use serde::Serialize;
 use crate::balance;
 use crate::error::Result;
 use crate::provenance::Provenance;
-use crate::tables::{self, TableFile};
+use crate::table_file::TableFile;
+use crate::tables;
 
 /// Levels of the counts: whole steps of 0–5.
 pub const LEVELS: usize = MAX_INTENSITY as usize + 1;

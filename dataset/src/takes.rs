@@ -78,8 +78,7 @@ pub(crate) fn common_world(
             hint: "find the poses of all takes anew with `tracker poses TAKE`".to_owned(),
         })?;
         let misfit = fit.rms / first.report.head_radius.max(f64::MIN_POSITIVE);
-        // Written so that a NaN is a misfit.
-        if !(misfit <= MAX_WORLD_MISFIT) {
+        if misfit.is_nan() || misfit > MAX_WORLD_MISFIT {
             let message = format!(
                 "the face of take `{}` differs from that of take `{}` by {:.0} % of a head radius",
                 input.name,

@@ -8,7 +8,7 @@ use risorius_formats::Camera;
 
 use crate::export::{FRAMES_FILE, IMAGES_DIR, SPARSE_DIR, TRANSFORMS_FILE};
 use crate::import::{Layout, id_of, layout_cameras, read_transforms};
-use crate::tables::TableFile;
+use crate::table_file::TableFile;
 use crate::verify::{Verdict, check_picture};
 
 /// Above this deviation of `RᵀR` from the identity a matrix is no rotation.

@@ -13,8 +13,9 @@ use crate::split::SplitKind;
 use crate::{BuildOptions, Report, Sampling};
 
 /// The objectives by the names of the command line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub(super) enum Objective {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Objective {
     /// The paper's balance over (AU, intensity) blocks
     Paper,
     /// Most entropy over AU levels, camera directions and time, sharp frames first
@@ -170,6 +171,7 @@ pub(super) struct Args {
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 struct Settings {
+    objective: Option<Objective>,
     sampling: Option<Sampling>,
     frames: Option<usize>,
     scale: Option<u32>,
@@ -235,7 +237,7 @@ fn resolve(args: &Args, settings: Settings) -> Result<BuildOptions, Failure> {
         (true, ..) => Sampling::Uniform,
         (_, true, _) => Sampling::Balanced,
         (.., Some(objective)) => objective.into(),
-        _ => settings.sampling.unwrap_or_default(),
+        _ => settings.objective.map(Sampling::from).or(settings.sampling).unwrap_or_default(),
     };
     let bins = args.bins.map(|b| match b {
         BinsArg::Scale => Bins::Scale,

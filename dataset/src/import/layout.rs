@@ -10,7 +10,7 @@ use risorius_formats::{Camera, ErrorKind, FormatError, colmap};
 use super::{Picture, refused};
 use crate::error::Result;
 use crate::export::{FRAMES_FILE, IMAGES_DIR, SPARSE_DIR, TRANSFORMS_FILE, TransformsFile, scales_in};
-use crate::tables::TableFile;
+use crate::table_file::TableFile;
 
 /// A layout that can be opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]

@@ -1,6 +1,6 @@
 //! A drawing surface of pixels for charts: everything at twice its size, text from a rasterised font.
 
-use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
+use noto_sans_mono_bitmap::{FontWeight, RasterHeight, RasterizedChar, get_raster, get_raster_width};
 use plotters_backend::text_anchor::{HPos, VPos};
 use plotters_backend::{
     BackendColor, BackendCoord, BackendStyle, BackendTextStyle, DrawingBackend, DrawingErrorKind, rasterizer,
@@ -96,7 +96,7 @@ impl DrawingBackend for Canvas<'_> {
         for c in text.chars() {
             // What the font lacks is a space.
             let glyph = get_raster(plain(c), FontWeight::Regular, raster);
-            for (row, line) in (0..).zip(glyph.iter().flat_map(|g| g.rows())) {
+            for (row, line) in (0..).zip(glyph.iter().flat_map(RasterizedChar::rows)) {
                 for (column, &share) in (0..).zip(line) {
                     let alpha = style.color().alpha * f64::from(share) / 255.0;
                     let color = BackendColor { alpha, rgb: style.color().rgb };

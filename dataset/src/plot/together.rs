@@ -18,7 +18,7 @@ const GAP: u32 = 36;
 pub struct TogetherChart<'a>(pub &'a Report);
 
 impl TogetherChart<'_> {
-    fn side(&self) -> u32 {
+    fn side(self) -> u32 {
         NAMES + CELL * self.0.attributes.len() as u32
     }
 }

@@ -3,6 +3,7 @@
 //!
 //! The builds run as a user runs them, as processes of the release build beside this one.
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::time::Instant;
@@ -91,7 +92,8 @@ fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
         "| threads | wall s | CPU s | peak MiB | read s | attributes, masks, choice s | pictures s | documents s |\n|---|---|---|---|---|---|---|---|",
     );
     for r in &rows {
-        text.push_str(&format!(
+        let _ = write!(
+            text,
             "\n| {} | {:.1} | {:.1} | {:.0} | {:.2} | {:.2} | {:.1} | {:.1} |",
             r.threads,
             r.wall_secs,
@@ -101,7 +103,7 @@ fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
             r.choice_secs,
             r.pictures_secs,
             r.documents_secs
-        ));
+        );
     }
     let last = &rows[rows.len() - 1];
     let verdicts = [
@@ -111,7 +113,7 @@ fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
         (hashes[0] == hashes[1], "the same bytes with one thread and with all".to_owned()),
     ];
     for (met, what) in &verdicts {
-        text.push_str(&format!("\n{}: {what}", if *met { "met" } else { "MISSED" }));
+        let _ = write!(text, "\n{}: {what}", if *met { "met" } else { "MISSED" });
     }
     console.finish(&rows, &text);
     if let Some((_, what)) = verdicts.iter().find(|(met, _)| !met) {
