@@ -81,7 +81,8 @@ pub fn redact(dir: &Path, name: &str, reporter: &dyn Reporter) -> Result<Redacte
     })
 }
 
-fn settings(dir: &Path) -> Result<BuildOptions> {
+/// What the dataset in `dir` was built with.
+pub(crate) fn settings(dir: &Path) -> Result<BuildOptions> {
     let path = dir.join("report").join("settings.toml");
     let text = std::fs::read_to_string(&path).map_err(|e| FormatError::io(&path, "read", &e))?;
     toml::from_str(&text)

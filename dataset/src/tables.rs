@@ -158,8 +158,13 @@ pub fn read(dir: &Path) -> Result<Rows> {
             .with_hint("the dataset is older than its tables; build it again with `dataset build`")
             .into());
     }
-    let takes = names.into_iter().map(|name| read_take(dir, name, &table)).collect::<Result<_>>()?;
-    Ok(Rows { table, takes })
+    read_takes(dir, &table, names)
+}
+
+/// Reads the tables below `dir` of the takes `names`.
+pub(crate) fn read_takes(dir: &Path, table: &AttributeTable, names: Vec<String>) -> Result<Rows> {
+    let takes = names.into_iter().map(|name| read_take(dir, name, table)).collect::<Result<_>>()?;
+    Ok(Rows { table: table.clone(), takes })
 }
 
 fn read_take(dir: &Path, name: String, table: &AttributeTable) -> Result<TakeRows> {

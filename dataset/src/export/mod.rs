@@ -23,6 +23,7 @@ use crate::error::{DatasetError, Result};
 
 pub use colmap::{IMAGES_DIR, SPARSE_DIR};
 pub use parquet::FRAMES_FILE;
+pub(crate) use parquet::copy_tables;
 pub use sidecar::SIDECAR_DIR;
 pub use transforms::{TRANSFORMS_FILE, opengl_world_from_camera};
 

@@ -20,6 +20,13 @@ pub(super) fn write(dataset: &Dataset, dir: &Path, out: &Path, reporter: &dyn Re
     let scale = copy_images(dataset, dir, out, reporter)?;
     frames_table(dataset, dir, scale, &out.join(FRAMES_FILE))?;
     let provenance = Provenance::read(dir)?;
+    copy_tables(dir, out, &provenance)?;
+    let card = card::markdown(dataset, &provenance, scale);
+    Ok(atomic::write_file(out.join("README.md"), card.as_bytes())?)
+}
+
+/// Copies the tables of the takes, as far as they are there.
+pub(crate) fn copy_tables(dir: &Path, out: &Path, provenance: &Provenance) -> Result<()> {
     for table in TABLES {
         for take in &provenance.takes {
             let (from, to) = (tables::table_path(dir, table, &take.name), tables::table_path(out, table, &take.name));
@@ -29,8 +36,7 @@ pub(super) fn write(dataset: &Dataset, dir: &Path, out: &Path, reporter: &dyn Re
             }
         }
     }
-    let card = card::markdown(dataset, &provenance, scale);
-    Ok(atomic::write_file(out.join("README.md"), card.as_bytes())?)
+    Ok(())
 }
 
 /// A row per frame. `AUxx_attribute` is −1..1; `AUxx_intensity` is its inverse by eq. 1, 0–5, which tops out at 0.8 of

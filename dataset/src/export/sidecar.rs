@@ -16,7 +16,8 @@ pub(super) fn write(dataset: &Dataset, dir: &Path, scales: &[u32], out: &Path) -
     let out = out.join(SIDECAR_DIR);
     dataset.write(&out)?;
     copy_cameras(dataset, dir, &out)?;
-    for name in ["attributes.toml", TAKES_FILE] {
+    make(&out.join("report"))?;
+    for name in ["attributes.toml", TAKES_FILE, "report/settings.toml"] {
         if dir.join(name).is_file() {
             copy(&dir.join(name), &out.join(name))?;
         }

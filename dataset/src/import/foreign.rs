@@ -62,7 +62,8 @@ pub(super) fn read(dir: &Path, layout: Layout, options: &ImportOptions, reporter
     dataset.mapping = table.attributes.iter().map(|a| a.unit.to_string()).collect();
     dataset.extras = Some(extras(dir, &dataset, &polygons));
     let cameras = dataset.ids.iter().map(|id| (id.clone(), nerfies::camera_path(dir, id))).collect();
-    Ok(Imported { dataset, table, provenance: Provenance::default(), polygons, cameras, masks: None })
+    let provenance = Provenance::default();
+    Ok(Imported { dataset, table, provenance, polygons, rows: None, options: None, cameras, masks: None })
 }
 
 /// The AU of each class.

@@ -20,14 +20,14 @@ use risorius_formats::{ActionUnit, AttributeTable, ErrorKind, FormatError, Isome
 
 use crate::build::DATASET_FILE;
 use crate::error::{DatasetError, Result};
-use crate::export::{SIDECAR_DIR, copy, is_within, make};
+use crate::export::{SIDECAR_DIR, copy, copy_tables, is_within, make};
 use crate::options::{BuildOptions, Sampling};
 use crate::provenance::{Provenance, TakeEntry};
 use crate::rows::{FrameRow, FrameState, Rows, TakeRows};
 use crate::signals::TrackCounts;
 use crate::split::SplitKind;
 use crate::stats::{self, Report, TakeReport};
-use crate::{TAKE_OFFSET, report, sheet, tables, views};
+use crate::{TAKE_OFFSET, redact, report, sheet, tables, views};
 
 pub use layout::{Layout, layout_of};
 pub(crate) use layout::{cameras as layout_cameras, id_of, read_transforms};
@@ -48,6 +48,10 @@ pub(crate) struct Imported {
     pub(crate) provenance: Provenance,
     /// Outlines by id, with AUs for labels.
     pub(crate) polygons: BTreeMap<String, nerfies::Polygons>,
+    /// All recorded frames, where the folder has tables, and the folder: the tables can be copied as they are.
+    pub(crate) rows: Option<(Rows, std::path::PathBuf)>,
+    /// What it was built with, where the folder tells.
+    pub(crate) options: Option<BuildOptions>,
     /// Camera files that can be copied as they are.
     pub(crate) cameras: BTreeMap<String, std::path::PathBuf>,
     /// The folder with masks that can be copied as they are.
@@ -97,14 +101,29 @@ fn own(from: &Path, layout: Layout, sidecar: &Path) -> Result<Imported> {
         }
     }
     let provenance = Provenance::read(sidecar)?;
-    Ok(Imported { dataset, table, provenance, polygons, cameras, masks: Some(sidecar.to_owned()) })
+    let rows = own_rows(from, &dataset, &table, &provenance)?.map(|rows| (rows, from.to_owned()));
+    let has_settings = sidecar.join("report").join("settings.toml").is_file();
+    let options = if has_settings { Some(redact::settings(sidecar)?) } else { None };
+    Ok(Imported { dataset, table, provenance, polygons, rows, options, cameras, masks: Some(sidecar.to_owned()) })
+}
+
+/// The tables of an export, as far as they are those of the dataset.
+fn own_rows(from: &Path, dataset: &Dataset, table: &AttributeTable, provenance: &Provenance) -> Result<Option<Rows>> {
+    let names: Vec<String> = provenance.takes.iter().map(|t| t.name.clone()).collect();
+    if names.is_empty() || !tables::table_path(from, "frames", &names[0]).is_file() {
+        return Ok(None);
+    }
+    let rows = tables::read_takes(from, table, names)?;
+    let mut ids: Vec<&String> = rows.takes.iter().flat_map(|t| &t.frames).filter_map(|f| f.id.as_ref()).collect();
+    ids.sort_unstable();
+    Ok(ids.into_iter().eq(&dataset.ids).then_some(rows))
 }
 
 /// A picture to copy: from where, its scale, its id.
 pub(crate) type Picture = (std::path::PathBuf, u32, String);
 
 fn write(imported: &Imported, pictures: &[Picture], dir: &Path, reporter: &dyn Reporter) -> Result<Report> {
-    let Imported { dataset, table, provenance, polygons, cameras, masks } = imported;
+    let Imported { dataset, table, provenance, polygons, cameras, masks, .. } = imported;
     reporter.stage("copy pictures", Some(pictures.len() as u64));
     let styles = foreign::paint_order(table, polygons);
     for (from, scale, id) in pictures {
@@ -141,20 +160,27 @@ fn write(imported: &Imported, pictures: &[Picture], dir: &Path, reporter: &dyn R
     table.write(dir.join("attributes.toml"))?;
     let provenance = if provenance.takes.is_empty() { unnamed(dataset) } else { provenance.clone() };
     provenance.write(dir)?;
-    let rows = rows_of(dataset, table, &provenance, polygons);
-    tables::write(dir, &rows)?;
+    let rows = if let Some((rows, folder)) = &imported.rows {
+        copy_tables(folder, dir, &provenance)?;
+        rows.clone()
+    } else {
+        let rows = rows_of(dataset, table, &provenance, polygons);
+        tables::write(dir, &rows)?;
+        rows
+    };
     let scale = dataset.extras.as_ref().map_or(4, |e| e.default_scale);
     let scales: Vec<u32> = crate::export::scales_in(dir);
-    let options = BuildOptions {
+    let unknown = BuildOptions {
         sampling: Sampling::Uniform,
         frames: dataset.ids.len(),
         scale,
-        scales,
+        scales: scales.clone(),
         split: SplitKind::Periodic,
         no_val: dataset.val_ids.is_empty(),
         regions: table.region_table(),
         ..BuildOptions::default()
     };
+    let options = imported.options.clone().map_or(unknown, |options| BuildOptions { scales, ..options });
     let about = provenance.takes.iter().zip(&rows.takes).map(|(entry, rows)| about(entry, rows, dataset)).collect();
     let report = stats::collect(&rows, about, &options);
     report::write(dir, &rows, &report, &options, &sheet::thumbnails(dir, dataset, &rows)?)?;
@@ -171,14 +197,20 @@ fn unnamed(dataset: &Dataset) -> Provenance {
 }
 
 fn about(entry: &TakeEntry, rows: &TakeRows, dataset: &Dataset) -> TakeReport {
-    let frames = rows.frames.len() as u32;
-    let valid = rows.frames.iter().filter(|f| f.intensities.is_some()).count() as u32;
+    let count = |state: FrameState| rows.frames.iter().filter(|f| f.state == state).count() as u32;
     TakeReport {
         name: entry.name.clone(),
         fps: entry.fps,
-        counts: TrackCounts { frames, valid, incomplete: frames - valid, ..TrackCounts::default() },
+        counts: TrackCounts {
+            frames: rows.frames.len() as u32,
+            valid: rows.frames.iter().filter(|f| f.intensities.is_some()).count() as u32,
+            lost: count(FrameState::Lost),
+            low_confidence: count(FrameState::Unsure),
+            incomplete: count(FrameState::Incomplete),
+            ..TrackCounts::default()
+        },
         smoothing_window: 0,
-        posed: rows.frames.len(),
+        posed: rows.frames.iter().filter(|f| f.camera.is_some()).count(),
         pose_method: dataset.extras.as_ref().map_or(PoseMethod::ColmapModel, |e| e.method),
         reprojection_error_px: None,
     }
