@@ -55,7 +55,38 @@ fn candidates() -> impl Strategy<Value = (Vec<Vec<usize>>, Vec<bool>)> {
 }
 
 fn options() -> impl Strategy<Value = BalanceOptions> {
-    any::<bool>().prop_map(|count_existing| BalanceOptions { levels: 6, count_existing })
+    let quota = prop_oneof![Just(Quota::Running), Just(Quota::Fixed), Just(Quota::Ceiling)];
+    (any::<bool>(), quota).prop_map(|(count_existing, quota)| BalanceOptions { levels: 6, quota, count_existing })
+}
+
+#[test]
+fn quotas_share_the_budget_as_they_say() {
+    // Blocks of 2, 6 and 100 frames of one AU.
+    let levels_of: Vec<Vec<usize>> =
+        [(2, 2), (1, 6), (0, 100)].into_iter().flat_map(|(level, n)| vec![vec![level]; n]).collect();
+    let counts = |quota, target| {
+        let options = BalanceOptions { quota, ..BalanceOptions::default() };
+        let chosen = select_balanced(&levels_of, &[true], target, options);
+        [2, 1, 0].map(|l| chosen.iter().filter(|&&c| levels_of[c][0] == l).count())
+    };
+    // 12: a third is 4; what the smallest leaves goes to both others, or to the fill.
+    assert_eq!(counts(Quota::Running, 12), [2, 5, 5]);
+    assert_eq!(counts(Quota::Ceiling, 12), [2, 5, 5]);
+    let fixed = counts(Quota::Fixed, 12);
+    assert_eq!((fixed[0], fixed.iter().sum::<usize>()), (2, 12));
+    assert!(fixed[1] == 4 && fixed[2] == 6, "{fixed:?}");
+    // A ceiling below 1 is 1; larger than all blocks it takes everything.
+    assert_eq!(counts(Quota::Ceiling, 2), [1, 1, 0]);
+    assert_eq!(counts(Quota::Ceiling, 500), [2, 6, 100]);
+}
+
+#[test]
+fn levels_of_the_own_range_use_all_of_it() {
+    let spec = AttributeSpec::from_range(risorius_formats::ActionUnit(12), 0, 0.5, 2.5, 0.5);
+    let level = |v: f32, bins| levels_of_frame(&[v], std::slice::from_ref(&spec), 6, bins)[0];
+    assert_eq!([0.5, 1.4, 2.5].map(|v| level(v, Bins::Range)), [0, 2, 5]);
+    assert_eq!([0.5, 1.4, 2.5].map(|v| level(v, Bins::Scale)), [1, 1, 3]);
+    assert_eq!(level(f32::NAN, Bins::Range), 0);
 }
 
 proptest! {

@@ -2,56 +2,62 @@
 //!
 //! ```text
 //! valid frames → smoothed intensities → ranges (eq. 1), neutral values → candidates: posed, not repeated
-//!              → balanced choice → pictures, masks, cameras, annotations, report
+//!              → balanced choice → pictures, masks, cameras, annotations, tables, report
 //! ```
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use risorius_formats::atomic::{self, AtomicDir};
-use risorius_formats::intensities::Intensities;
-use risorius_formats::pose_report::write_json;
-use risorius_formats::similarity::umeyama;
-use risorius_formats::{ActionUnit, AttributeSpec, AttributeTable, Camera, RegionTable, Reporter, Similarity, Warning};
+use risorius_formats::{ActionUnit, AttributeSpec, AttributeTable, RegionTable, Reporter, Warning};
 
 use crate::align::TakeInput;
-use crate::balance::{self, BalanceOptions};
-use crate::describe::{describe, head_hull};
+use crate::candidates::{self, Sight};
+use crate::choose::{self, Chosen};
+use crate::describe::describe;
 use crate::error::{DatasetError, Result};
 use crate::neutral;
-use crate::options::{BuildOptions, Sampling};
+use crate::options::BuildOptions;
 use crate::package::{self, Job};
-use crate::regions::{self, RegionStyle, Rejection, Shape};
-use crate::scale;
+use crate::provenance::Provenance;
+use crate::regions::{RegionStyle, Rejection, Shape};
+use crate::report;
+use crate::rows::Rows;
 use crate::sheet;
 use crate::signals::{self, Signals};
+use crate::split::Role;
 use crate::stats::{self, Report};
+use crate::{balance, tables, takes};
 
 /// Frame numbers of the second take start here, those of the third at twice this, and so on.
 pub const TAKE_OFFSET: u32 = 1_000_000;
-/// Every so many chosen frames one is held out.
-pub const VAL_INTERVAL: usize = 20;
-/// Which of each [`VAL_INTERVAL`] frames it is: one in the middle, so that it has neighbours on both sides.
-pub const VAL_FIRST: usize = 10;
 /// The file that shows a folder to be a dataset.
 pub(crate) const DATASET_FILE: &str = "dataset.json";
-/// Above this remainder, in head radii, the faces of two takes do not agree.
-const MAX_WORLD_MISFIT: f64 = 0.1;
 
-/// A frame that may be chosen.
-pub(crate) struct Candidate {
-    pub(crate) take: usize,
-    pub(crate) frame: u32,
-    pub(crate) intensities: Vec<f32>,
-    pub(crate) camera: Camera,
-    /// See [`risorius_formats::Landmarks68::asymmetry`]; infinite without landmarks.
-    pub(crate) asymmetry: f32,
-    pub(crate) polygons: Result<risorius_formats::nerfies::Polygons, Rejection>,
+/// What a build made, and how long its parts took.
+#[derive(Clone, Debug)]
+pub struct Built {
+    /// What `report/stats.json` says.
+    pub report: Report,
+    /// Reading tracks and poses.
+    pub read: Duration,
+    /// Attributes, region outlines and the choice, from tracks in memory.
+    pub choice: Duration,
+    /// Pictures and their masks.
+    pub pictures: Duration,
+    /// Cameras, annotations, tables and report.
+    pub documents: Duration,
 }
 
 /// Builds a dataset in the folder `out` and returns what `report/stats.json` says.
 pub fn build(takes: &[PathBuf], out: &Path, options: &BuildOptions, reporter: &dyn Reporter) -> Result<Report> {
+    build_timed(takes, out, options, reporter).map(|built| built.report)
+}
+
+/// The same as [`build`], with the time that each part took.
+pub fn build_timed(takes: &[PathBuf], out: &Path, options: &BuildOptions, reporter: &dyn Reporter) -> Result<Built> {
     options.check()?;
     if takes.is_empty() {
         return Err(DatasetError::Option {
@@ -60,17 +66,18 @@ pub fn build(takes: &[PathBuf], out: &Path, options: &BuildOptions, reporter: &d
         });
     }
     atomic::check_replaceable(out, "a dataset", &[DATASET_FILE])?;
+    let started = Instant::now();
     reporter.stage("read tracks and poses", Some(takes.len() as u64));
-    let mut inputs = Vec::with_capacity(takes.len());
-    for dir in takes {
-        inputs.push(TakeInput::open(dir, reporter)?);
-        reporter.advance(1);
-    }
-    let size = common_size(&inputs)?;
-    let worlds = common_world(&inputs, reporter)?;
+    let inputs = open(takes, reporter)?;
+    takes::one_subject(&inputs, options, reporter)?;
+    let size = takes::common_size(&inputs)?;
+    let worlds = takes::common_world(&inputs, options, reporter)?;
+    let units = takes::common_units(&inputs, options, reporter)?;
+    takes::common_scale(&inputs, &units, reporter)?;
+    let read = started.elapsed();
 
+    let started = Instant::now();
     reporter.stage("smooth and choose", None);
-    let units = common_units(&inputs, options, reporter)?;
     let signals = smooth(&inputs, &units, options, reporter)?;
     let (table, dropped) = attribute_table(&units, &signals, options);
     for name in dropped {
@@ -78,122 +85,61 @@ pub fn build(takes: &[PathBuf], out: &Path, options: &BuildOptions, reporter: &d
     }
     warn_inactive(&table, reporter);
     let styles = region_styles(&table);
-    let mut candidates = candidates(&inputs, &signals, &worlds, &styles, reporter)?;
-    let chosen = choose(&candidates, &table, options, reporter);
+    let (mut rows, mut sights) = candidates::collect(&inputs, &signals, &worlds, &table, &styles, reporter)?;
+    let chosen = choose::choose(&rows, options, reporter);
+    let choice = started.elapsed();
 
+    let hulls: Vec<_> = (0..inputs.len())
+        .map(|k| candidates::head_hull(&inputs[k], &rows.takes[k], &signals[k], &worlds[k]).map(Arc::new))
+        .collect();
+    let dataset = describe(&inputs, &worlds, &rows, &sights, &chosen, options, size, &hulls);
+    mark(&mut rows, &chosen, &dataset.ids);
     let staging = AtomicDir::create(out)?;
     let dir = staging.path();
-    let report = stats::collect(&stats::Material {
-        inputs: &inputs,
-        signals: &signals,
-        table: &table,
-        options,
-        levels: &candidates.iter().map(|c| levels_of(c, options)).collect::<Vec<_>>(),
-        rejections: &candidates.iter().map(|c| c.polygons.as_ref().err().copied()).collect::<Vec<_>>(),
-        chosen: &chosen,
-    });
-    let dataset = describe(&inputs, &worlds, &candidates, &chosen, &table, options, size);
-    let mut jobs = Vec::with_capacity(chosen.len());
-    let on_sheet: BTreeSet<usize> = balance::spread(chosen.len(), sheet::FRAMES).into_iter().collect();
-    let hulls: Vec<_> = inputs.iter().zip(&worlds).map(|(i, w)| head_hull(i, w).map(Arc::new)).collect();
-    for (place, &index) in chosen.iter().enumerate() {
-        let candidate = &mut candidates[index];
-        let id = dataset.ids[place].clone();
-        jobs.push(Job {
-            take: candidate.take,
-            frame: candidate.frame,
-            camera: dataset.cameras[&id],
-            polygons: std::mem::replace(&mut candidate.polygons, Err(Rejection::NoLandmarks)).ok(),
-            hull: hulls[candidate.take].clone(),
-            on_sheet: on_sheet.contains(&place),
-            intensities: std::mem::take(&mut candidate.intensities),
-            id,
-        });
-    }
+    let started = Instant::now();
+    let jobs = jobs(&inputs, &rows, &mut sights, &chosen, &dataset, &hulls, options);
     let thumbnails = package::write_pictures(dir, &inputs, &jobs, &styles, &options.scales, reporter)?;
+    let pictures = started.elapsed();
 
-    reporter.stage("write cameras and annotations", None);
+    let started = Instant::now();
+    reporter.stage("write cameras, tables and report", None);
     dataset.write(dir)?;
     table.write(dir.join("attributes.toml"))?;
-    let units = table.attributes.iter().map(|a| a.unit).collect();
-    let rows = jobs.into_iter().map(|j| (j.id, j.intensities)).collect();
-    Intensities { units, rows }.write(dir)?;
-    let report_dir = dir.join("report");
-    write_json(report_dir.join("stats.json"), &report)?;
-    let settings = toml::to_string(options).map_err(|e| DatasetError::encode(report_dir.join("settings.toml"), &e))?;
-    atomic::write_file(report_dir.join("settings.toml"), settings.as_bytes())?;
-    crate::plot::write_svg(&report_dir.join("distribution.svg"), &report)?;
-    sheet::write_png(&report_dir.join("contact_sheet.png"), &thumbnails, &table)?;
+    Provenance::of(&inputs).write(dir)?;
+    tables::write(dir, &rows)?;
+    tables::intensities_of(&rows).write(dir)?;
+    let about: Vec<_> = inputs.iter().zip(&signals).map(|(i, s)| stats::about_take(i, s)).collect();
+    let report = stats::collect(&rows, about, options);
+    report::write(dir, &rows, &report, options, &thumbnails)?;
     if reporter.cancelled() {
         return Err(DatasetError::Cancelled);
     }
     staging.commit()?;
-    Ok(report)
+    Ok(Built { report, read, choice, pictures, documents: started.elapsed() })
 }
 
-/// The trimmed size, which all takes must share.
-fn common_size(inputs: &[TakeInput]) -> Result<(u32, u32)> {
-    let size = |i: &TakeInput| (i.take.manifest.width, i.take.manifest.height);
-    let expected = size(&inputs[0]);
-    if let Some(other) = inputs.iter().find(|i| size(i) != expected) {
-        return Err(DatasetError::Size {
-            path: other.take.dir.clone(),
-            what: "the first take has",
-            expected,
-            found: size(other),
-        });
-    }
-    scale::trimmed_size(expected.0, expected.1).ok_or_else(|| DatasetError::Option {
-        message: format!("{} × {} pixels are too few", expected.0, expected.1),
-        hint: "both sides need at least 8 pixels".to_owned(),
-    })
-}
-
-/// For each take the way into the first one's world, by the triangulated face.
-fn common_world(inputs: &[TakeInput], reporter: &dyn Reporter) -> Result<Vec<Similarity>> {
-    let mut worlds = vec![Similarity::IDENTITY];
-    for input in &inputs[1..] {
-        let first = &inputs[0].report;
-        let (faces, own) = (&first.landmarks_in_world, &input.report.landmarks_in_world);
-        let pairs: Vec<_> = faces.iter().copied().zip(own.iter().copied()).collect();
-        let fit = umeyama(&pairs, true).filter(|fit| faces.len() == own.len() && !fit.on_a_line);
-        let fit = fit.ok_or_else(|| DatasetError::Option {
-            message: format!("{}: has no face in common with the first take", input.take.pose_report_path().display()),
-            hint: "find the poses of all takes anew with `tracker poses TAKE`".to_owned(),
-        })?;
-        let misfit = fit.rms;
-        if misfit > MAX_WORLD_MISFIT * first.head_radius {
-            let message = format!(
-                "the face of take `{}` fits the first one's to {misfit:.4} of a head radius of {:.4} only",
-                input.name, first.head_radius
-            );
-            reporter.warn(Warning::new("world-misfit", message));
+/// Opens the takes; names that stand there twice get a number, because tables are filed under them.
+fn open(takes: &[PathBuf], reporter: &dyn Reporter) -> Result<Vec<TakeInput>> {
+    let mut inputs: Vec<TakeInput> = Vec::with_capacity(takes.len());
+    let mut folders = BTreeSet::new();
+    for dir in takes {
+        let mut input = TakeInput::open(dir, reporter)?;
+        if !folders.insert(dir.canonicalize().unwrap_or_else(|_| dir.clone())) {
+            return Err(DatasetError::Option {
+                message: format!("{}: the take is named twice", dir.display()),
+                hint: "name each take once".to_owned(),
+            });
         }
-        worlds.push(fit.a_from_b);
+        let name = input.name.clone();
+        let mut number = 2;
+        while inputs.iter().any(|i| i.name == input.name) {
+            input.name = format!("{name}-{number}");
+            number += 1;
+        }
+        inputs.push(input);
+        reporter.advance(1);
     }
-    Ok(worlds)
-}
-
-/// The units of the table that every track has.
-fn common_units(inputs: &[TakeInput], options: &BuildOptions, reporter: &dyn Reporter) -> Result<Vec<ActionUnit>> {
-    let wanted = options.regions.units();
-    let mut units = wanted.clone();
-    for input in inputs {
-        units = signals::present_units(&input.track, &units);
-    }
-    for missing in wanted.iter().filter(|u| !units.contains(u)) {
-        reporter.warn(Warning::new(
-            "missing-au",
-            format!("{missing} ({}) is not in every track and is left out", missing.facs_name()),
-        ));
-    }
-    if units.is_empty() {
-        return Err(DatasetError::Option {
-            message: format!("{}: has none of the AUs of the regions", inputs[0].take.openface_path().display()),
-            hint: "the table needs columns such as `AU12_r`".to_owned(),
-        });
-    }
-    Ok(units)
+    Ok(inputs)
 }
 
 fn smooth(
@@ -279,88 +225,50 @@ fn region_styles(table: &AttributeTable) -> Vec<RegionStyle> {
     table.regions.iter().enumerate().filter_map(style).collect()
 }
 
-/// Valid frames with a camera that do not repeat the frame before, take after take in the order of frames.
-fn candidates(
-    inputs: &[TakeInput],
-    signals: &[Signals],
-    worlds: &[Similarity],
-    styles: &[RegionStyle],
-    reporter: &dyn Reporter,
-) -> Result<Vec<Candidate>> {
-    let mut all = Vec::new();
-    for (take, (input, signals)) in inputs.iter().zip(signals).enumerate() {
-        let before = all.len();
-        let manifest = &input.take.manifest;
-        for valid in &signals.frames {
-            let Some(camera) = input.cameras.get(&valid.frame) else { continue };
-            if input.take.frames[valid.frame as usize].repeated {
-                continue;
-            }
-            let landmarks = input.track.rows[valid.row].landmarks.as_deref();
-            all.push(Candidate {
-                take,
-                frame: valid.frame,
-                intensities: valid.intensities.clone(),
-                camera: Camera { camera_from_world: worlds[take].transform_pose(&camera.camera_from_world), ..*camera },
-                asymmetry: landmarks.map_or(f32::INFINITY, risorius_formats::Landmarks68::asymmetry),
-                polygons: regions::polygons(landmarks, styles, manifest.width, manifest.height),
-            });
-        }
-        if all.len() == before {
-            let (cameras, valid) = (input.cameras.len(), signals.frames.len());
-            return Err(DatasetError::NoCandidates { path: input.take.sparse_dir(), cameras, valid });
-        }
-        if inputs.len() > 1 && manifest.frame_count > TAKE_OFFSET {
-            return Err(DatasetError::Option {
-                message: format!(
-                    "take `{}` has {} frames; with several takes at most {TAKE_OFFSET} can be numbered",
-                    input.name, manifest.frame_count
-                ),
-                hint: "build from this take alone".to_owned(),
-            });
-        }
-    }
-    let rejected = all.iter().filter(|c: &&Candidate| c.polygons.is_err()).count();
-    if rejected > 0 {
-        let message = format!(
-            "{rejected} of {} frames have no usable region masks (turned too far, or outside the picture)",
-            all.len()
-        );
-        reporter.warn(Warning::new("rejected-masks", message));
-    }
-    Ok(all)
-}
-
-fn levels_of(candidate: &Candidate, options: &BuildOptions) -> Vec<usize> {
-    candidate.intensities.iter().map(|&v| balance::level_of(v, options.levels)).collect()
-}
-
-/// The chosen candidates, ascending: those with masks first; the others, which still show the head from its sides,
-/// only fill up what is missing.
-fn choose(
-    candidates: &[Candidate],
-    table: &AttributeTable,
-    options: &BuildOptions,
-    reporter: &dyn Reporter,
-) -> Vec<usize> {
-    if candidates.len() < options.frames {
-        let message =
-            format!("{} frames were asked for, and {} can be used: all are taken", options.frames, candidates.len());
-        reporter.warn(Warning::new("few-candidates", message));
-    }
-    let (good, poor): (Vec<usize>, Vec<usize>) = (0..candidates.len()).partition(|&c| candidates[c].polygons.is_ok());
-    let active: Vec<bool> = table.attributes.iter().map(|a| a.active).collect();
-    let picked = match options.sampling {
-        Sampling::Balanced => {
-            let levels: Vec<_> = good.iter().map(|&c| levels_of(&candidates[c], options)).collect();
-            let how = BalanceOptions { levels: options.levels, count_existing: options.count_existing };
-            balance::select_balanced(&levels, &active, options.frames, how)
-        }
-        Sampling::Uniform => balance::select_uniform(good.len(), options.frames),
+/// Writes into the rows which frames were chosen and what for.
+fn mark(rows: &mut Rows, chosen: &[Chosen], ids: &[String]) {
+    let places: Vec<(usize, u32)> = {
+        let usable = rows.usable();
+        chosen.iter().map(|&(c, _)| (usable[c].take, usable[c].row.frame)).collect()
     };
-    let mut chosen: Vec<usize> = picked.into_iter().map(|i| good[i]).collect();
-    let missing = options.frames - chosen.len();
-    chosen.extend(balance::spread(poor.len(), missing).into_iter().map(|i| poor[i]));
-    chosen.sort_unstable();
-    chosen
+    for ((&(_, role), (take, frame)), id) in chosen.iter().zip(places).zip(ids) {
+        let row = &mut rows.takes[take].frames[frame as usize];
+        row.id = Some(id.clone());
+        row.split = Some(match role {
+            Role::Train => "train",
+            Role::Val => "val",
+            Role::Neither => "none",
+        });
+    }
+}
+
+/// What is to be written of each chosen frame, take after take.
+fn jobs(
+    inputs: &[TakeInput],
+    rows: &Rows,
+    sights: &mut [Sight],
+    chosen: &[Chosen],
+    dataset: &risorius_formats::nerfies::Dataset,
+    hulls: &[Option<Arc<Vec<glam::DVec3>>>],
+    options: &BuildOptions,
+) -> Vec<Job> {
+    let usable = rows.usable();
+    let on_sheet: BTreeSet<usize> = balance::spread(chosen.len(), sheet::FRAMES).into_iter().collect();
+    let job = |(place, &(index, _)): (usize, &Chosen)| {
+        let take = usable[index].take;
+        let id = dataset.ids[place].clone();
+        let rigid = inputs[take].report.method == risorius_formats::pose_report::PoseMethod::Head;
+        Job {
+            take,
+            frame: usable[index].row.frame,
+            camera: dataset.cameras[&id],
+            polygons: std::mem::replace(&mut sights[index].polygons, Err(Rejection::NoLandmarks)).ok(),
+            hull: hulls[take].clone().filter(|_| rigid),
+            head: hulls[take].clone().filter(|_| options.head_masks),
+            on_sheet: on_sheet.contains(&place),
+            intensities: usable[index].intensities.to_vec(),
+            id,
+        }
+    };
+    chosen.iter().enumerate().map(job).collect()
 }

@@ -68,6 +68,14 @@ pub enum DatasetError {
         /// The first frame that did not come.
         frame: u32,
     },
+    /// A picture of a dataset cannot be read.
+    #[error("{}: cannot be decoded: {message}", path.display())]
+    Picture {
+        /// The picture.
+        path: PathBuf,
+        /// What the decoder said.
+        message: String,
+    },
     /// A picture, plot or table cannot be encoded.
     #[error("{}: cannot encode: {message}", path.display())]
     Encode {
@@ -103,6 +111,7 @@ impl Hint for DatasetError {
             Self::MissingFrame { .. } => {
                 Some("the video is shorter than frames.csv says; make the take again with `capture record`".into())
             }
+            Self::Picture { .. } => Some("it is missing, damaged or of another kind; see `dataset verify`".into()),
             Self::Encode { .. } | Self::Cancelled => None,
         }
     }

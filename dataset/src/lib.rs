@@ -10,27 +10,46 @@
 
 pub mod align;
 pub mod balance;
+pub mod choose;
 pub mod cli;
+pub mod compare;
+pub mod entropy;
 pub mod error;
 pub mod export;
+pub mod import;
 pub mod neutral;
 pub mod plot;
+pub mod provenance;
 pub mod raster;
+pub mod redact;
 pub mod regions;
+pub mod rows;
 pub mod scale;
 pub mod scene;
 pub mod sheet;
 pub mod signals;
 pub mod smooth;
+pub mod split;
 pub mod stats;
+pub mod survey;
+pub mod tables;
 pub mod verify;
+pub mod views;
 
 mod build;
+mod candidates;
 mod describe;
+mod flags;
 mod options;
 mod package;
+mod page;
+mod report;
+mod split_report;
+mod table_file;
+mod takes;
+mod verify_layouts;
 
-pub use build::{TAKE_OFFSET, VAL_FIRST, VAL_INTERVAL, build};
+pub use build::{Built, TAKE_OFFSET, build, build_timed};
 pub use error::{DatasetError, Result};
 pub use options::{BuildOptions, SCALES, Sampling};
 pub use stats::Report;

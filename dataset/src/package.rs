@@ -31,6 +31,8 @@ pub struct Job {
     pub polygons: Option<Polygons>,
     /// Corners of the head's hull, where only the head may be fitted.
     pub hull: Option<Arc<Vec<DVec3>>>,
+    /// Corners of the head's hull, for the mask that tells head from background.
+    pub head: Option<Arc<Vec<DVec3>>>,
     /// Whether it appears on the contact sheet.
     pub on_sheet: bool,
     /// Intensity 0–5 of each attribute, for the contact sheet.
@@ -40,7 +42,7 @@ pub struct Job {
 /// Pictures that wait between decoder and encoders, per worker: bounds the memory.
 const QUEUE_PER_WORKER: usize = 2;
 
-/// Writes `rgb/`, `regions/`, `valid/` and `annotations/` for `jobs`, which stand take after take in the order of
+/// Writes `rgb/`, `regions/`, `valid/`, `head/` and `annotations/` for `jobs`, which stand take after take in the order of
 /// frames, and returns the contact sheet's pictures in that order.
 pub(crate) fn write_pictures(
     dir: &Path,
@@ -55,6 +57,9 @@ pub(crate) fn write_pictures(
         create_parent(&nerfies::region_path(dir, s, "x"))?;
         if jobs.iter().any(|j| j.hull.is_some()) {
             create_parent(&nerfies::valid_path(dir, s, "x"))?;
+        }
+        if jobs.iter().any(|j| j.head.is_some()) {
+            create_parent(&nerfies::head_path(dir, s, "x"))?;
         }
     }
     create_parent(&nerfies::polygons_path(dir, "x"))?;
@@ -168,9 +173,13 @@ fn write_frame(
             let labels = regions::label_image(polygons, styles, s, w, h);
             write_png(&nerfies::region_path(dir, s, &job.id), &labels.labels, w, h, ExtendedColorType::L8)?;
         }
-        if let Some(hull) = &job.hull {
-            let mask = raster::hull_mask(hull, &job.camera.reduced(s));
-            write_png(&nerfies::valid_path(dir, s, &job.id), &mask.labels, w, h, ExtendedColorType::L8)?;
+        for (hull, path) in
+            [(&job.hull, nerfies::valid_path(dir, s, &job.id)), (&job.head, nerfies::head_path(dir, s, &job.id))]
+        {
+            if let Some(hull) = hull {
+                let mask = raster::hull_mask(hull, &job.camera.reduced(s));
+                write_png(&path, &mask.labels, w, h, ExtendedColorType::L8)?;
+            }
         }
     }
     if let Some(polygons) = &job.polygons {
@@ -184,11 +193,18 @@ fn write_frame(
     Ok(job.on_sheet.then(|| sheet::thumbnail(image, job, styles)))
 }
 
-/// Encodes 8-bit pixels fast rather than small.
+/// Encodes 8-bit pixels fast rather than small and writes them.
 pub(crate) fn write_png(path: &Path, pixels: &[u8], width: u32, height: u32, colour: ExtendedColorType) -> Result<()> {
-    let mut bytes = Vec::with_capacity(pixels.len() / 2 + 1024);
-    let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive);
-    encoder.write_image(pixels, width, height, colour).map_err(|e| DatasetError::encode(path, &e))?;
+    let fail = |message| DatasetError::Encode { path: path.to_owned(), message };
+    let bytes = png_bytes(pixels, width, height, colour).map_err(fail)?;
     // The folder around it appears whole or not at all; the file needs no dance of its own.
     std::fs::write(path, bytes).map_err(|e| FormatError::io(path, "write", &e).into())
+}
+
+/// A PNG file of 8-bit pixels, made fast rather than small.
+pub(crate) fn png_bytes(pixels: &[u8], width: u32, height: u32, colour: ExtendedColorType) -> Result<Vec<u8>, String> {
+    let mut bytes = Vec::with_capacity(pixels.len() / 2 + 1024);
+    let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive);
+    encoder.write_image(pixels, width, height, colour).map_err(|e| e.to_string())?;
+    Ok(bytes)
 }

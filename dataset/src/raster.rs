@@ -19,6 +19,16 @@ pub fn hull_mask(corners_in_world: &[DVec3], camera: &Camera) -> LabelImage {
     mask
 }
 
+/// Darkens what a mask leaves out. Sizes must agree; else nothing happens.
+pub fn dim_outside(image: &mut RgbImage, mask: &LabelImage) {
+    if (image.width(), image.height()) != (mask.width, mask.height) {
+        return;
+    }
+    for (pixel, _) in image.pixels_mut().zip(&mask.labels).filter(|(_, label)| **label == 0) {
+        pixel.0 = pixel.0.map(|v| v / 3);
+    }
+}
+
 /// The colours of regions 1, 2, 3, … in pictures for people; they repeat.
 pub const REGION_COLOURS: [[u8; 3]; 6] =
     [[230, 159, 0], [86, 180, 233], [0, 158, 115], [204, 121, 167], [213, 94, 0], [240, 228, 66]];

@@ -4,9 +4,10 @@
 //! With brow points `b`, the eye points `e` below them and the mid-points `m` between, region 1 lies between `m` and
 //! `t = b + λ (b − m)`, region 3 is the jaw up to the nose bridge, and region 2 is what lies between the two.
 
-use risorius_formats::Landmarks68;
+use glam::{DVec2, DVec3};
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{Polygon, Polygons};
+use risorius_formats::{Camera, Landmarks68};
 
 /// How far region 1 reaches above the brow, in distances from the mid-point to the brow.
 pub const LAMBDA: f64 = 1.0;
@@ -16,6 +17,11 @@ pub const EPSILON: f64 = 0.25;
 pub const MIN_AREA_SHARE: f64 = 0.001;
 /// Landmarks may leave the frame by this share of its side.
 pub const MAX_OUTSIDE_SHARE: f64 = 0.1;
+
+/// Beyond this yaw the far side of the face is out of sight and its outline slides along the contour, degrees.
+pub const MAX_YAW_DEG: f64 = 60.0;
+/// Landmarks farther than this from the projected mean face (median, in projected outer-eye distances) are elsewhere.
+pub const MAX_OFF_FACE: f64 = 0.35;
 
 /// The brow points from image left to image right.
 const BROWS: [usize; 10] = [17, 18, 19, 20, 21, 22, 23, 24, 25, 26];
@@ -79,6 +85,10 @@ pub enum Rejection {
     SelfIntersection,
     /// A region covers less than [`MIN_AREA_SHARE`] of the frame.
     TooSmall,
+    /// The camera stands beyond [`MAX_YAW_DEG`] at the side of the face.
+    TurnedAway,
+    /// The landmarks are not where the camera sees the face: the tracker was on something else, or the pose is wrong.
+    OffFace,
 }
 
 impl Rejection {
@@ -89,6 +99,8 @@ impl Rejection {
             Self::OutsideFrame => "outside-frame",
             Self::SelfIntersection => "self-intersection",
             Self::TooSmall => "too-small",
+            Self::TurnedAway => "turned-away",
+            Self::OffFace => "off-face",
         }
     }
 }
@@ -202,6 +214,32 @@ pub fn polygons(
         result.push(Polygon { label: style.polygon_label.clone(), points_px: points });
     }
     Ok(Polygons { polygons: result, image_path: None, image_size: Some([width, height]) })
+}
+
+/// Whether landmarks and camera agree on where the face is and that it can be seen.
+///
+/// `face_in_world`: the triangulated mean face, 68 points; `view_deg`: yaw and pitch of the camera. What is not known is
+/// not checked.
+pub fn check_view(
+    landmarks: Option<&Landmarks68>,
+    face_in_world: &[DVec3],
+    camera: &Camera,
+    view_deg: Option<[f64; 2]>,
+) -> Result<(), Rejection> {
+    let (Some(landmarks), 68) = (landmarks, face_in_world.len()) else { return Ok(()) };
+    if view_deg.is_some_and(|[yaw, _]| yaw.abs() > MAX_YAW_DEG) {
+        return Err(Rejection::TurnedAway);
+    }
+    let projected: Vec<DVec2> = face_in_world.iter().map(|&p| camera.project(p)).collect();
+    let eyes = projected[36].distance(projected[45]);
+    let mut away: Vec<f64> = projected
+        .iter()
+        .zip(&landmarks.points_px)
+        .map(|(p, l)| p.distance(DVec2::new(f64::from(l[0]), f64::from(l[1]))))
+        .collect();
+    away.sort_unstable_by(f64::total_cmp);
+    // The median: an open mouth moves its own points far, and nothing else. Written so that a NaN is off.
+    if away[34] <= MAX_OFF_FACE * eyes { Ok(()) } else { Err(Rejection::OffFace) }
 }
 
 /// The label image of `polygons` at `1/divisor` of a `width` × `height` frame: a partition, mouth before brow before eye.

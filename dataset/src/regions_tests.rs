@@ -48,8 +48,8 @@ pub(crate) fn face(scale: f32, cx: f32, cy: f32) -> Landmarks68 {
 
 /// The hull of all points, for comparison.
 fn hull(points: &[Point]) -> Vec<Point> {
-    let points: Vec<_> = points.iter().map(|&p| glam::DVec2::from(p)).collect();
-    risorius_formats::polygon::convex_hull(&points).iter().map(glam::DVec2::to_array).collect()
+    let points: Vec<_> = points.iter().map(|&p| DVec2::from(p)).collect();
+    risorius_formats::polygon::convex_hull(&points).iter().map(DVec2::to_array).collect()
 }
 
 #[test]

@@ -1,15 +1,18 @@
 //! The contact sheet: a look at the chosen frames with their regions and AU values.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use image::{ExtendedColorType, Rgb, RgbImage};
 use risorius_formats::AttributeTable;
 use risorius_formats::au::MAX_INTENSITY;
+use risorius_formats::mask::LabelImage;
+use risorius_formats::nerfies::{self, Dataset};
 
-use crate::error::Result;
+use crate::error::{DatasetError, Result};
 use crate::package::{self, Job};
 use crate::regions::{self, RegionStyle};
-use crate::{raster, scale};
+use crate::rows::Rows;
+use crate::{balance, raster, scale};
 
 /// Frames on the sheet.
 pub const FRAMES: usize = 40;
@@ -36,6 +39,9 @@ pub fn thumbnail(image: &RgbImage, job: &Job, styles: &[RegionStyle]) -> Thumbna
     let (width, height) = (job.camera.intrinsics.width, job.camera.intrinsics.height);
     let divisor = [1, 2, 4].into_iter().find(|d| width / d <= MAX_WIDTH).unwrap_or(8);
     let mut small = scale::reduced(image, divisor);
+    if let Some(head) = &job.head {
+        raster::dim_outside(&mut small, &raster::hull_mask(head, &job.camera.reduced(divisor)));
+    }
     if let Some(polygons) = &job.polygons {
         raster::tint(
             &mut small,
@@ -44,6 +50,32 @@ pub fn thumbnail(image: &RgbImage, job: &Job, styles: &[RegionStyle]) -> Thumbna
         );
     }
     Thumbnail { image: small, intensities: job.intensities.clone() }
+}
+
+/// The pictures of a sheet from the files of a dataset.
+pub fn thumbnails(dir: &Path, dataset: &Dataset, rows: &Rows) -> Result<Vec<Thumbnail>> {
+    let scales = crate::export::scales_in(dir);
+    let width = dataset.cameras.values().next().map_or(0, |c| c.intrinsics.width);
+    let Some(&scale) = scales.iter().find(|&&s| width / s <= MAX_WIDTH).or(scales.last()) else {
+        return Ok(Vec::new());
+    };
+    let chosen: Vec<_> = rows.takes.iter().flat_map(|t| &t.frames).filter(|f| f.id.is_some()).collect();
+    let mut result = Vec::new();
+    for row in balance::spread(chosen.len(), FRAMES).into_iter().map(|i| chosen[i]) {
+        let id = row.id.as_deref().unwrap_or_default();
+        let path = nerfies::rgb_path(dir, scale, id);
+        let decoded = image::open(&path).map_err(|e| DatasetError::Picture { path, message: e.to_string() })?;
+        let mut picture = decoded.into_rgb8();
+        let mask = |path: PathBuf| if path.is_file() { LabelImage::read_png(path).map(Some) } else { Ok(None) };
+        if let Some(head) = mask(nerfies::head_path(dir, scale, id))? {
+            raster::dim_outside(&mut picture, &head);
+        }
+        if let Some(labels) = mask(nerfies::region_path(dir, scale, id))? {
+            raster::tint(&mut picture, &labels, TINT);
+        }
+        result.push(Thumbnail { image: picture, intensities: row.intensities.clone().unwrap_or_default() });
+    }
+    Ok(result)
 }
 
 /// Draws and writes the sheet; nothing without pictures.

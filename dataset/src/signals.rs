@@ -6,6 +6,7 @@ use risorius_formats::smooth::window_for_fps;
 use risorius_formats::{ActionUnit, FrameRecord, Track};
 use serde::{Deserialize, Serialize};
 
+use crate::rows::FrameState;
 use crate::smooth;
 
 /// What became of a take's frames.
@@ -47,6 +48,10 @@ pub struct Signals {
     pub counts: TrackCounts,
     /// The smoothing window, frames.
     pub window: usize,
+    /// What became of each frame of the take, as far as the track tells: [`FrameState::Usable`] is trusted.
+    pub states: Vec<FrameState>,
+    /// The tracker's confidence in each frame of the take.
+    pub confidences: Vec<Option<f32>>,
 }
 
 /// The units of `wanted` that `track` has numbers for; where it never had the face, those that it has columns for.
@@ -77,6 +82,8 @@ pub fn smooth_track(
             _ => counts.surplus_rows += 1,
         }
     }
+    let mut states = vec![FrameState::Lost; frames.len()];
+    let confidences = row_of.iter().map(|r| r.map(|r| track.rows[r].confidence)).collect();
     let mut valid: Vec<(u32, usize, Vec<f64>)> = Vec::new();
     let mut segments: Vec<Range<usize>> = Vec::new();
     for (frame, slot) in (0u32..).zip(&row_of) {
@@ -93,7 +100,10 @@ pub fn smooth_track(
         let confident = row.confidence >= min_confidence;
         match values {
             _ if !row.success => counts.lost += 1,
-            _ if !confident => counts.low_confidence += 1,
+            _ if !confident => {
+                counts.low_confidence += 1;
+                states[frame as usize] = FrameState::Unsure;
+            }
             Some(values) if row.is_valid(min_confidence) => {
                 let follows =
                     valid.last().is_some_and(|v| v.0 + 1 == frame) && frames[frame as usize].dropped_before == 0;
@@ -102,8 +112,12 @@ pub fn smooth_track(
                     _ => segments.push(valid.len()..valid.len() + 1),
                 }
                 valid.push((frame, index, values));
+                states[frame as usize] = FrameState::Usable;
             }
-            _ => counts.incomplete += 1,
+            _ => {
+                counts.incomplete += 1;
+                states[frame as usize] = FrameState::Incomplete;
+            }
         }
     }
     counts.valid = valid.len() as u32;
@@ -119,7 +133,7 @@ pub fn smooth_track(
             frame.intensities.push(v as f32);
         }
     }
-    Signals { frames: result, counts, window }
+    Signals { frames: result, counts, window, states, confidences }
 }
 
 #[cfg(test)]

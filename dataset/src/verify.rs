@@ -10,6 +10,9 @@ use risorius_formats::nerfies::{self, Dataset, Polygons};
 use risorius_formats::{AttributeTable, FormatError, Reporter};
 use serde::Serialize;
 
+use crate::error::DatasetError;
+use crate::{tables, verify_layouts};
+
 /// Something wrong with a dataset.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct Problem {
@@ -35,8 +38,15 @@ pub struct Verdict {
 }
 
 impl Verdict {
-    fn add(&mut self, path: impl Into<PathBuf>, message: impl Into<String>) {
+    pub(crate) fn add(&mut self, path: impl Into<PathBuf>, message: impl Into<String>) {
         self.problems.push(Problem { path: path.into(), message: message.into() });
+    }
+
+    pub(crate) fn add_failure(&mut self, dir: &Path, error: &DatasetError) {
+        match error {
+            DatasetError::Format(error) => self.add_error(dir, error),
+            other => self.add(dir, other.to_string()),
+        }
     }
 
     fn add_error(&mut self, dir: &Path, error: &FormatError) {
@@ -50,9 +60,16 @@ impl Verdict {
     }
 }
 
-/// Checks the dataset in `dir`, ours or a plain one of the Nerfies family.
+/// Checks the dataset in `dir`: ours, a plain one of the Nerfies family, or an export to another layout.
 pub fn verify(dir: &Path, reporter: &dyn Reporter) -> Verdict {
     let mut verdict = Verdict::default();
+    if let Ok(layout) = crate::import::layout_of(dir)
+        && layout != crate::import::Layout::Nerfies
+    {
+        verify_layouts::check(dir, layout, &mut verdict);
+        finish(&mut verdict);
+        return verdict;
+    }
     let dataset = match Dataset::read(dir) {
         Ok(dataset) => dataset,
         Err(error) => {
@@ -67,6 +84,7 @@ pub fn verify(dir: &Path, reporter: &dyn Reporter) -> Verdict {
     check_annotations(dir, &dataset, &mut verdict);
     let regions = check_attributes(dir, &dataset, &mut verdict);
     check_cameras(dir, &dataset, &mut verdict);
+    check_tables(dir, &dataset, &mut verdict);
     check_pictures(dir, &dataset, regions, &mut verdict, reporter);
     finish(&mut verdict);
     verdict
@@ -171,6 +189,26 @@ fn check_attributes(dir: &Path, dataset: &Dataset, verdict: &mut Verdict) -> Opt
     }
 }
 
+/// The tables, where there are any, hold the frames of the dataset.
+fn check_tables(dir: &Path, dataset: &Dataset, verdict: &mut Verdict) {
+    if dataset.extras.is_none() || !dir.join("tables").is_dir() {
+        return;
+    }
+    match tables::read(dir) {
+        Ok(rows) => {
+            let frames = rows.takes.iter().flat_map(|t| &t.frames);
+            let mut ids: Vec<&String> = frames.filter_map(|f| f.id.as_ref()).collect();
+            let mut expected: Vec<&String> = dataset.ids.iter().collect();
+            ids.sort_unstable();
+            expected.sort_unstable();
+            if ids != expected {
+                verdict.add(dir.join("tables"), "its chosen frames are not those of dataset.json");
+            }
+        }
+        Err(error) => verdict.add_failure(dir, &error),
+    }
+}
+
 fn check_cameras(dir: &Path, dataset: &Dataset, verdict: &mut Verdict) {
     let sizes: BTreeSet<_> = dataset.cameras.values().map(|c| (c.intrinsics.width, c.intrinsics.height)).collect();
     let Some(extras) = &dataset.extras else { return };
@@ -220,6 +258,10 @@ fn check_pictures(
                 own.pictures +=
                     usize::from(check_labels(&nerfies::region_path(dir, s, id), size, regions.unwrap_or(0), &mut own));
             }
+            let head = nerfies::head_path(dir, s, id);
+            if head.exists() {
+                own.pictures += usize::from(check_labels(&head, size, 255, &mut own));
+            }
             if dataset.extras.as_ref().is_some_and(|e| e.head_hull_in_world.is_some()) {
                 own.pictures += usize::from(check_labels(&nerfies::valid_path(dir, s, id), size, 255, &mut own));
             }
@@ -237,7 +279,7 @@ fn check_pictures(
     }
 }
 
-fn check_picture(path: &Path, size: (u32, u32), verdict: &mut Verdict) -> bool {
+pub(crate) fn check_picture(path: &Path, size: (u32, u32), verdict: &mut Verdict) -> bool {
     let reader = match ImageReader::open(path) {
         Ok(reader) => reader,
         Err(error) => {

@@ -29,6 +29,7 @@ pub mod colmap;
 pub mod error;
 pub mod frame;
 pub mod hash;
+pub mod head_hull;
 pub mod intensities;
 pub mod landmarks;
 pub mod mask;

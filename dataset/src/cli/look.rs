@@ -1,30 +1,39 @@
-//! `dataset stats`, `dataset verify` and `dataset export`.
+//! `dataset stats` and `dataset verify`.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use clap::ValueEnum;
 use risorius_console::{Console, Failure};
 use risorius_formats::pose_report::json_error;
 use risorius_formats::{ErrorKind, FormatError};
 
-use crate::export::{self, Target};
-use crate::{Report, plot, verify};
+use crate::{BuildOptions, Report, compare, plot, survey, tables, verify};
 
 /// Show how a dataset was chosen and how even its AU intensities are.
+///
+/// Of several datasets the chosen frames are counted together, one take in memory at a time.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  dataset stats datasets/ada --plot ada.svg")]
+#[command(
+    after_help = "Examples:\n  dataset stats datasets/ada --plot ada.svg\n  dataset stats datasets/ada --compare\n  dataset stats datasets/*"
+)]
 pub(super) struct StatsArgs {
-    /// Folder of a dataset made by `dataset build`
-    dataset: PathBuf,
+    /// Folders of datasets made by `dataset build` or `dataset import`
+    #[arg(required = true, value_name = "DATASET")]
+    datasets: Vec<PathBuf>,
     /// Also draw the intensities before and after
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg|FILE.png")]
     plot: Option<PathBuf>,
+    /// Compare ways of choosing as many frames from the same candidates, in one table
+    #[arg(long)]
+    compare: bool,
+    /// How many frames the compared ways choose [default: as many as the dataset has]
+    #[arg(long, value_name = "N", requires = "compare")]
+    frames: Option<usize>,
 }
 
 /// Open a dataset as a stranger would and list every problem.
 ///
-/// Plain Nerfies, HyperNeRF and CoNeRF folders can be checked, too. Exit status 1 if there is any problem; with --json
+/// Plain Nerfies, HyperNeRF and CoNeRF folders, transforms.json, COLMAP and Parquet exports can be checked, too. Exit status 1 if there is any problem; with --json
 /// the document lists them as `problems`, each with `path` and `message`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  dataset verify datasets/ada")]
@@ -33,43 +42,85 @@ pub(super) struct VerifyArgs {
     dataset: PathBuf,
 }
 
-/// Write a dataset in another layout.
-///
-/// nerfies: without our additions. Nerfies and HyperNeRF open it as it is; the released CoNeRF and CoNFies loaders also
-/// want rgb/<s>x/<id>_depth.npy, which no video holds and which is not made up here.
-/// transforms: transforms.json with OpenGL axes and pictures, for nerfstudio and instant-ngp.
-/// parquet: a table with a row per frame.
-#[derive(Debug, clap::Args)]
-#[command(
-    after_help = "Example:\n  dataset export datasets/ada --to transforms --out exports/ada",
-    verbatim_doc_comment
-)]
-pub(super) struct ExportArgs {
-    /// Folder of the dataset
-    dataset: PathBuf,
-    /// The layout
-    #[arg(long, value_enum)]
-    to: Layout,
-    /// Where it goes; an older folder there is replaced
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Layout {
-    Nerfies,
-    Transforms,
-    Parquet,
-}
-
 pub(super) fn stats(args: &StatsArgs, console: &Console) -> Result<(), Failure> {
-    let path = args.dataset.join("report").join("stats.json");
-    let report = read_report(&args.dataset, &path)?;
+    if args.compare {
+        return compare(args, console);
+    }
+    let [dataset] = &args.datasets[..] else {
+        if args.plot.is_some() {
+            return Err(Failure::usage("`--plot` draws one dataset").with_hint("name one dataset"));
+        }
+        args.datasets.iter().try_for_each(|d| check_folder(d))?;
+        let survey = survey::survey(&args.datasets, console)?;
+        console.finish(&survey, &survey_table(&survey));
+        return Ok(());
+    };
+    let path = dataset.join("report").join("stats.json");
+    let report = read_report(dataset, &path)?;
     if let Some(path) = &args.plot {
-        plot::write_svg(path, &report)?;
+        plot::write_distribution(path, &report)?;
     }
     console.finish(&report, &table(&report));
     Ok(())
+}
+
+fn compare(args: &StatsArgs, console: &Console) -> Result<(), Failure> {
+    let [dataset] = &args.datasets[..] else {
+        return Err(Failure::usage("`--compare` looks at one dataset").with_hint("name one dataset"));
+    };
+    check_folder(dataset)?;
+    let rows = tables::read(dataset)?;
+    let chosen = rows.takes.iter().flat_map(|t| &t.frames).filter(|f| f.id.is_some()).count();
+    let compared = compare::compare(&rows, args.frames.unwrap_or(chosen), &BuildOptions::default());
+    let mut text = String::from(
+        "| choice | frames | block entropy | entropy per AU | variation | above rest | empty | cells | mean gap | largest gap | sharpness | mean abs r |\n|---|---|---|---|---|---|---|---|---|---|---|---|",
+    );
+    for c in &compared {
+        let (e, v) = (&c.evenness, &c.coverage);
+        let _ = write!(
+            text,
+            "\n| {} | {} | {:.3} | {:.3} | {:.2} | {:.2} | {} | {}/{} | {:.2}° | {:.1}° | {:.2} | {:.3} |",
+            c.choice,
+            c.frames,
+            e.block_entropy,
+            e.entropy,
+            e.coefficient_of_variation,
+            e.raised_variation,
+            e.empty_blocks,
+            v.cells_chosen,
+            v.cells,
+            v.mean_gap_deg,
+            v.largest_gap_deg,
+            c.sharpness_rank,
+            c.correlation
+        );
+    }
+    console.finish(&compared, &text);
+    Ok(())
+}
+
+fn survey_table(survey: &survey::Survey) -> String {
+    let mut text = String::new();
+    for d in &survey.datasets {
+        let who = if d.subjects.is_empty() { "subject not stated".to_owned() } else { d.subjects.join(", ") };
+        let _ = writeln!(
+            text,
+            "{}: {} chosen of {} trusted frames, {} takes, {} active AUs; {who}",
+            d.dataset.display(),
+            d.chosen,
+            d.trusted,
+            d.takes,
+            d.active
+        );
+    }
+    let _ = writeln!(text, "\n{} chosen frames in {} datasets", survey.chosen, survey.datasets.len());
+    let _ = writeln!(text, "{:<5} {:<22} {:>9}  chosen per intensity", "AU", "name", "active in");
+    for (unit, counts) in &survey.levels {
+        let counts: Vec<String> = counts.iter().map(|c| format!("{c:>6}")).collect();
+        let active = survey.active_in.get(unit).copied().unwrap_or(0);
+        let _ = writeln!(text, "{:<5} {:<22} {active:>9}  {}", unit.to_string(), unit.facs_name(), counts.join(" "));
+    }
+    text.trim_end().to_owned()
 }
 
 fn read_report(dataset: &Path, path: &Path) -> Result<Report, FormatError> {
@@ -109,9 +160,20 @@ fn table(report: &Report) -> String {
     {
         let _ = writeln!(
             text,
-            "{name:>8}: variation {:.3} ({:.3} above rest), entropy {:.3}, {} empty blocks",
-            e.coefficient_of_variation, e.raised_variation, e.entropy, e.empty_blocks
+            "{name:>8}: variation {:.3} ({:.3} above rest), entropy {:.3} of blocks, {:.3} per AU, {} empty blocks",
+            e.coefficient_of_variation, e.raised_variation, e.block_entropy, e.entropy, e.empty_blocks
         );
+    }
+    let c = &report.coverage;
+    let _ = writeln!(
+        text,
+        "   views: {} of {} cells, yaw {:.0}° to {:.0}°, pitch {:.0}° to {:.0}°, largest gap {:.1}°",
+        c.cells_chosen, c.cells, c.yaw_deg[0], c.yaw_deg[1], c.pitch_deg[0], c.pitch_deg[1], c.largest_gap_deg
+    );
+    let s = &report.split;
+    let _ = writeln!(text, "   split: {}, {} for fitting, {} held out", s.kind.name(), s.train, s.val);
+    for flag in &report.flags {
+        let _ = writeln!(text, "    look: {}", flag.message);
     }
     let _ = writeln!(
         text,
@@ -161,18 +223,4 @@ pub(super) fn verify(args: &VerifyArgs, console: &Console) -> Result<(), Failure
     let count = verdict.problems.len();
     let message = format!("{}: {count} problem{}", args.dataset.display(), if count == 1 { "" } else { "s" });
     Err(Failure::input(message).with_hint("put back what is missing or damaged, or build the dataset again"))
-}
-
-pub(super) fn export(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
-    let target = match args.to {
-        Layout::Nerfies => Target::Nerfies,
-        Layout::Transforms => Target::Transforms,
-        Layout::Parquet => Target::Parquet,
-    };
-    let done = export::export(&args.dataset, target, &args.out, console)?;
-    if matches!(args.to, Layout::Nerfies) {
-        console.say("note: the released CoNeRF and CoNFies loaders also want rgb/<s>x/<id>_depth.npy; a video has no depth, so none is written");
-    }
-    console.finish(&done, &format!("{}: {} frames in {} files", args.out.display(), done.frames, done.files));
-    Ok(())
 }

@@ -1,6 +1,7 @@
 //! The `dataset` command: options in, documents out.
 
 mod build;
+mod exchange;
 mod look;
 
 use clap::{Parser, Subcommand};
@@ -32,7 +33,9 @@ enum Command {
     Build(build::Args),
     Stats(look::StatsArgs),
     Verify(look::VerifyArgs),
-    Export(look::ExportArgs),
+    Export(exchange::ExportArgs),
+    Import(exchange::ImportArgs),
+    Redact(exchange::RedactArgs),
 }
 
 /// Runs the command that was asked for.
@@ -41,6 +44,8 @@ pub fn run(args: &Args, console: &Console) -> Result<(), Failure> {
         Command::Build(args) => build::run(args, console),
         Command::Stats(args) => look::stats(args, console),
         Command::Verify(args) => look::verify(args, console),
-        Command::Export(args) => look::export(args, console),
+        Command::Export(args) => exchange::export(args, console),
+        Command::Import(args) => exchange::import(args, console),
+        Command::Redact(args) => exchange::redact(args, console),
     }
 }

@@ -8,6 +8,7 @@
 //! DIR/annotations/<id>.json                       LabelMe polygons, pixels of the 1x image (may be absent)
 //! DIR/regions/<s>x/<id>.png                       ours: label image, 0 = rest, 1..N      (may be absent)
 //! DIR/valid/<s>x/<id>.png                         ours: where the pixels may be fitted   (may be absent)
+//! DIR/head/<s>x/<id>.png                          ours: what is head and what background (may be absent)
 //! ```
 
 mod camera;
@@ -153,6 +154,11 @@ pub fn region_path(dir: impl AsRef<Path>, scale: u32, id: &str) -> PathBuf {
 /// `DIR/valid/<s>x/<id>.png`: 255 where the pixel may be fitted, 0 where not; absent when every pixel may.
 pub fn valid_path(dir: impl AsRef<Path>, scale: u32, id: &str) -> PathBuf {
     dir.as_ref().join("valid").join(format!("{scale}x")).join(format!("{id}.png"))
+}
+
+/// `DIR/head/<s>x/<id>.png`: 255 on the head, 0 on what lies behind it; absent where nobody knows.
+pub fn head_path(dir: impl AsRef<Path>, scale: u32, id: &str) -> PathBuf {
+    dir.as_ref().join("head").join(format!("{scale}x")).join(format!("{id}.png"))
 }
 
 #[cfg(test)]

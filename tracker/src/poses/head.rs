@@ -8,11 +8,11 @@ use std::collections::BTreeMap;
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
+use risorius_formats::head_hull::head_hull;
 use risorius_formats::{Camera, Intrinsics, Isometry, Reporter, Take, Track, TrackRow};
 
 use super::depths::Head;
 use super::focal::table_camera;
-use super::hull::head_hull;
 use super::model::{PlacedFrame, TakeModel};
 use super::refine::{Bundle, FrameView, RigidPoint, refine_pose};
 use super::smooth::smooth;

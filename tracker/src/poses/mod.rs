@@ -10,7 +10,6 @@ pub mod depths;
 pub mod flags;
 pub mod focal;
 pub mod head;
-pub mod hull;
 pub mod interpolate;
 pub mod keyframes;
 pub mod mask;

@@ -1,10 +1,29 @@
-//! A convex body around the head: what is rigid with it, hair and open jaw included, and nothing of the room.
+//! The head's own axes, and a convex body around the head: what is rigid with it, hair and open jaw included, and
+//! nothing of the room.
 //!
 //! The head frame has x to the image's right, y down and z away from the camera. The face comes from the triangulated
 //! landmarks; skull and hair, which have no landmarks, from proportions of heads: the crown is about as far above the
 //! brows as the chin is below (0.9 times without hair), a skull is 1.3 times as long as it is wide.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
+
+use crate::Isometry;
+
+/// The way from the head frame into the world of 68 triangulated `landmarks`, whose mean is the head frame's origin.
+///
+/// x runs from ear to ear and eye to eye, y from the brows to the chin at right angles to it. `None` unless there are 68
+/// finite landmarks that span a face.
+pub fn world_from_head(landmarks: &[DVec3]) -> Option<Isometry> {
+    if landmarks.len() != 68 || !landmarks.iter().all(|p| p.is_finite()) {
+        return None;
+    }
+    let origin = landmarks.iter().sum::<DVec3>() / 68.0;
+    let brows = landmarks[17..27].iter().sum::<DVec3>() / 10.0;
+    let x = ((landmarks[16] - landmarks[0]) + (landmarks[45] - landmarks[36])).try_normalize()?;
+    let down = landmarks[8] - brows;
+    let y = (down - x * down.dot(x)).try_normalize()?;
+    Some(Isometry::new(DMat3::from_cols(x, y, x.cross(y)), origin))
+}
 
 /// Crown above the brows, in brow-to-chin heights, hair included.
 const CROWN: f64 = 1.0;
@@ -56,8 +75,8 @@ pub fn head_hull(landmarks: &[DVec3], chin_drop: f64) -> Vec<DVec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::polygon::{convex_hull, hull_contains};
     use glam::DVec2;
-    use risorius_formats::polygon::{convex_hull, hull_contains};
 
     /// A rough face, metres.
     fn face() -> Vec<DVec3> {
@@ -91,5 +110,19 @@ mod tests {
             assert!(!hull_contains(&outline, project(&outside)), "{outside}");
         }
         assert!(hull.iter().all(|p| p.is_finite() && p.z < 0.3));
+    }
+
+    #[test]
+    fn the_heads_axes_are_found_wherever_the_head_is() {
+        let turned = Isometry::from_wxyz([0.8, 0.1, 0.5, -0.2], DVec3::new(1.0, -2.0, 0.5));
+        let own = world_from_head(&face()).unwrap();
+        // The rough face looks along −z: its own axes are the identity, but for the asymmetry of its making.
+        assert!((own.rotation.x_axis - DVec3::X).length() < 0.2 && own.rotation.z_axis.z > 0.9);
+        let moved: Vec<DVec3> = face().iter().map(|&p| turned.transform_point(p)).collect();
+        let found = world_from_head(&moved).unwrap();
+        let expected = turned.compose(&own);
+        assert!((found.translation - expected.translation).length() < 1e-9);
+        assert!((found.rotation - expected.rotation).to_cols_array().iter().all(|v| v.abs() < 1e-9));
+        assert!(world_from_head(&moved[..67]).is_none() && world_from_head(&[DVec3::ONE; 68]).is_none());
     }
 }

@@ -1,11 +1,9 @@
-//! The plot of AU intensities before and after the choice, as SVG.
+//! AU intensities before and after the choice, a panel per AU.
 
-use std::path::Path;
-
+use plotters::coord::Shift;
 use plotters::prelude::*;
-use risorius_formats::atomic;
 
-use crate::error::{DatasetError, Result};
+use super::{Chart, text};
 use crate::raster;
 use crate::stats::{AttributeReport, Report};
 
@@ -14,21 +12,20 @@ const COLUMNS: usize = 6;
 const PANEL: (u32, u32) = (210, 170);
 const HEADER: u32 = 64;
 
-/// Writes the plot, whole or not at all.
-pub fn write_svg(path: &Path, report: &Report) -> Result<()> {
-    let text = svg(report).map_err(|e| DatasetError::Encode { path: path.to_owned(), message: e })?;
-    Ok(atomic::write_file(path, text.as_bytes())?)
-}
-
 /// The share of frames per intensity level above rest, one panel per AU: grey before, coloured after, a line for even
 /// steps in time. Level 0 stands in the caption: it would dwarf everything else.
-fn svg(report: &Report) -> Result<String, String> {
-    let rows = report.attributes.len().div_ceil(COLUMNS).max(1);
-    let size = (PANEL.0 * COLUMNS as u32, HEADER + PANEL.1 * rows as u32);
-    let mut text = String::new();
-    {
-        let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
-        root.fill(&WHITE).map_err(|e| e.to_string())?;
+#[derive(Clone, Copy, Debug)]
+pub struct Distribution<'a>(pub &'a Report);
+
+impl Chart for Distribution<'_> {
+    fn size(&self) -> (u32, u32) {
+        let rows = self.0.attributes.len().div_ceil(COLUMNS).max(1);
+        (PANEL.0 * COLUMNS as u32, HEADER + PANEL.1 * rows as u32)
+    }
+
+    fn draw<DB: DrawingBackend>(&self, root: &DrawingArea<DB, Shift>) -> Result<(), String> {
+        let report = self.0;
+        let rows = report.attributes.len().div_ceil(COLUMNS).max(1);
         let (head, body) = root.split_vertically(HEADER);
         header(&head, report)?;
         let regions: Vec<&str> = report.attributes.iter().fold(Vec::new(), |mut names, a| {
@@ -41,14 +38,11 @@ fn svg(report: &Report) -> Result<String, String> {
             let region = regions.iter().position(|r| *r == attribute.region).unwrap_or(0);
             panel(area, attribute, region)?;
         }
-        root.present().map_err(|e| e.to_string())?;
+        Ok(())
     }
-    Ok(text)
 }
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
-
-fn header(area: &Area<'_>, report: &Report) -> Result<(), String> {
+fn header<DB: DrawingBackend>(area: &DrawingArea<DB, Shift>, report: &Report) -> Result<(), String> {
     let title = format!(
         "AU intensities of {} of {} frames. Variation of block sizes above rest: {:.2} of all, {:.2} evenly over time, {:.2} chosen",
         report.chosen,
@@ -57,18 +51,20 @@ fn header(area: &Area<'_>, report: &Report) -> Result<(), String> {
         report.evenness_uniform.raised_variation,
         report.evenness_after.raised_variation,
     );
-    let draw = |text: &str, place: (i32, i32), size: i32| {
-        area.draw(&Text::new(text.to_owned(), place, ("sans-serif", size).into_font())).map_err(|e| e.to_string())
-    };
-    draw(&title, (12, 12), 18)?;
-    draw(
+    text(area, &title, (12, 12), 18)?;
+    text(
+        area,
         "Share of frames (%) per intensity; the rest is at rest. Grey: all usable frames. Coloured: chosen. Line: evenly over time",
         (12, 38),
         14,
     )
 }
 
-fn panel(area: &Area<'_>, attribute: &AttributeReport, region: usize) -> Result<(), String> {
+fn panel<DB: DrawingBackend>(
+    area: &DrawingArea<DB, Shift>,
+    attribute: &AttributeReport,
+    region: usize,
+) -> Result<(), String> {
     let levels = attribute.histogram_before.len();
     if levels < 2 {
         return Ok(());
