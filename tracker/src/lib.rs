@@ -13,6 +13,7 @@ pub mod error;
 pub mod head_pose;
 pub mod import;
 pub mod models;
+pub mod overlay;
 pub mod parquet;
 pub mod poses;
 pub mod preview;
