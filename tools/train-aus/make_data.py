@@ -20,6 +20,7 @@ from detect import Detector
 from network import BLENDSHAPE_POINTS, SIZE, Mesh, crop_around, session
 from render import Light, backdrop, normals_of, photograph, project, rasterise, turn
 from skins import dressed, skin
+from wrinkles import Folds
 
 FOCAL = 1200.0
 SUPERSAMPLING = 1.25
@@ -57,6 +58,7 @@ class Person:
         self.basis, self.rng, self.hull = basis, rng, hull
         self.rest = basis.person(np.clip(rng.normal(0, rng.uniform(0.3, 0.8), 100), -2, 2))
         self.colours = dressed(basis, rng, skins)
+        self.folds = Folds(basis, rng)
         self.light, self.light_follows_head = Light(rng), rng.random() < 0.3
         self.distance = rng.uniform(40, 110)
         self.style = face.style(rng)
@@ -84,8 +86,9 @@ class Person:
         in_crop = ((points - crop[:2]) @ np.array([[c, -s], [s, c]]) * k + side / 2).astype(np.float32)
         normals = normals_of(vertices, basis.triangles)
         seen = normals if self.light_follows_head else normals @ rotation.T.astype(np.float32)
+        colours = self.colours * self.folds.shade(aus, len(self.colours))
         picture = self.backdrop.copy()
-        rasterise(in_crop, camera[:, 2].astype(np.float32), self.light.shade(seen, self.colours).astype(np.float32), basis.triangles, picture)
+        rasterise(in_crop, camera[:, 2].astype(np.float32), self.light.shade(seen, colours).astype(np.float32), basis.triangles, picture)
         picture = cv2.resize(picture, (SIZE, SIZE), interpolation=cv2.INTER_AREA)
         return photograph(rng, picture), rotation, aus, in_crop[basis.landmark68] / SUPERSAMPLING
 

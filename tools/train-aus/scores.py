@@ -50,7 +50,7 @@ def best_gain(scores, aus):
     for j in range(scores.shape[1]):
         tried = [
             (icc31(np.clip(g * (scores[:, j] - t), 0, 5), aus[:, j]), g, t)
-            for g in np.arange(0.8, 4.01, 0.1)
+            for g in np.arange(0.8, 6.01, 0.1)
             for t in np.arange(0, 0.81, 0.1)
         ]
         _, gain, threshold = max(tried)

@@ -68,6 +68,10 @@ def skin(basis, mesh, rgb, crop):
     # The other side of the face fills what this photograph does not see; what neither sees gets the mean skin.
     mirror = mirrored(basis)
     tone = np.median(sampled[:FACE_END][weight[:FACE_END] > 0.9], 0)
+    around_eyes = np.abs(np.abs(basis.neutral[:FACE_END, 0]) - 3.2) < 2.2
+    around_eyes &= np.abs(basis.neutral[:FACE_END, 1] - 3.0) < 1.2
+    if np.median(sampled[:FACE_END][around_eyes]) < 0.5 * np.median(tone):
+        raise ValueError("sunglasses")
     best = np.maximum(weight, 1e-3)[:, None]
     other = np.where(weight[mirror] > weight, weight[mirror], 0)[:, None]
     colours = (best * sampled + other * sampled[mirror] + 0.05 * tone) / (best + other + 0.05)

@@ -19,8 +19,9 @@ from scores import baseline_prior, best_gain, best_presence, icc31, pose_terms
 
 READOUTS = {"full": ["mesh", "blendshapes", "inner8", "inner16"], "plain": ["mesh", "blendshapes"], "bare": ["mesh"]}
 # Principal components of each input that are used: beyond them the networks' noise begins.
-COMPONENTS = {"mesh": 150, "blendshapes": 50, "inner8": 500, "inner16": 700}
-RIDGE = 150.0
+COMPONENTS = {"mesh": 250, "blendshapes": 50, "inner8": 700, "inner16": 1000}
+SMALLEST = {"mesh": 1e-3, "blendshapes": 3e-3, "inner8": 0.0, "inner16": 0.0}
+RIDGE = 300.0
 NEUTRAL_RIDGE = 0.3
 
 
@@ -88,6 +89,8 @@ def main():
     for name, values in inputs.items():
         x = above_rest(values, person, neutral, terms)
         vectors, deviation = principal(x[~held], COMPONENTS[name], rng)
+        keep = deviation > SMALLEST[name]
+        vectors, deviation = vectors[:, keep], deviation[keep]
         directions[name] = vectors / deviation
         whitened[name] = x @ directions[name]
         print(f"{name}: {values.shape[1]} numbers, {vectors.shape[1]} components", flush=True)

@@ -20,11 +20,11 @@ pub enum Calibration {
 }
 
 /// A recorded score counts as this share of an independent one: neighbouring frames repeat each other.
-const INDEPENDENT: f64 = 0.05;
+const INDEPENDENT: f64 = 0.2;
 /// A frame with so much of an expression (sum of intensities) counts half.
-const ACTIVE: f64 = 1.5;
+const ACTIVE: f64 = 3.0;
 /// A score so many deviations above the fit counts half; one below it counts in full.
-const ABOVE: f64 = 1.0;
+const ABOVE: f64 = 3.0;
 /// Rounds of re-weighting.
 const ROUNDS: usize = 12;
 /// Frames that an online calibration keeps: half of them are dropped when it is full.

@@ -102,7 +102,7 @@ mod tests {
             assert!(hint.contains("tools/models"), "{hint}");
             e.to_string()
         };
-        assert!(error().contains("models.toml: cannot read"), "{}", error());
+        assert!(error().contains("models.toml: does not exist"), "{}", error());
         std::fs::write(dir.path().join(MANIFEST), MANIFEST_TEXT).unwrap();
         assert!(error().contains("d.onnx: the model is missing"));
         std::fs::write(dir.path().join("d.onnx"), b"any").unwrap();
