@@ -190,14 +190,6 @@ pub enum TrackerError {
         /// Why.
         message: String,
     },
-    /// The video shows no face at all.
-    #[error("{path}: no face was found in any of its {frames} frames", path = path.display())]
-    NoFace {
-        /// The video.
-        path: PathBuf,
-        /// Its frames.
-        frames: usize,
-    },
     /// There is nothing to compare.
     #[error("{dir}: has only {common} frames in common with the take's poses, at least 3 are needed", dir = dir.display())]
     NothingInCommon {
@@ -259,7 +251,6 @@ impl Hint for TrackerError {
             Self::Inference { .. } | Self::NetworkOutput { .. } => {
                 "`models.toml` has to describe the network beside it; `tools/models` fetches networks that fit".into()
             }
-            Self::NoFace { .. } => "is the face upright, and at least an eighth of the picture high?".into(),
             Self::NothingInCommon { .. } => {
                 "frames are matched by the digits of image names; see `--reference-first`".into()
             }

@@ -25,6 +25,10 @@ const CROP_TOLERANCE: f32 = 0.12;
 const CROP_ATTEMPTS: usize = 3;
 /// A lost face that comes back within this many pictures is looked for where it was, before the largest one is taken.
 const MEMORY: usize = 60;
+/// A face that was just detected is believed from this probability on; one that is followed, from the manifest's.
+const FRESH_PRESENCE: f32 = 0.9;
+/// How many detected faces are tried.
+const CANDIDATES: usize = 5;
 /// Weight of a new crop in the smoothed one where the face hardly moves; it rises to 1 with the motion.
 const STEADY: f32 = 0.4;
 
@@ -171,28 +175,36 @@ impl Follower {
                     n.detector.detect(picture)?
                 }
             };
-            let Some(crop) = self.choose(&faces) else { return Ok(None) };
-            let (found, count) = settle(&mut n.landmarker, picture, crop)?;
-            runs += count;
-            Ok(found)
+            for crop in self.candidates(&faces) {
+                let (found, count) = settle(&mut n.landmarker, picture, crop)?;
+                runs += count;
+                // What a detector takes for a face has to look like one to the landmark network too.
+                if let Some(found) = found.filter(|f| f.presence >= FRESH_PRESENCE) {
+                    return Ok(Some(found));
+                }
+            }
+            Ok(None)
         })?;
         self.landmark_runs += runs;
         self.detections += detections;
         Ok(result)
     }
 
-    /// The face that was lost a moment ago if it is there, else the one that was asked for.
-    fn choose(&self, faces: &[Face]) -> Option<Crop> {
-        let crops = || faces.iter().filter_map(|f| Some((f, f.crop(self.margin)?)));
+    /// Where to look for the face, best first: the face that was lost a moment ago, else those that were asked for.
+    fn candidates(&self, faces: &[Face]) -> Vec<Crop> {
+        let mut crops: Vec<(&Face, Crop)> = faces.iter().filter_map(|f| Some((f, f.crop(self.margin)?))).collect();
         if let Some((last, _)) = self.last_seen.filter(|(_, ago)| *ago <= MEMORY) {
             let away = |c: &Crop| (c.center[0] - last.center[0]).hypot(c.center[1] - last.center[1]);
-            let nearest = crops().map(|(_, c)| c).min_by(|a, b| away(a).total_cmp(&away(b)));
-            return nearest.filter(|c| away(c) < last.side);
+            crops.retain(|(_, c)| away(c) < last.side);
+            crops.sort_by(|a, b| away(&a.1).total_cmp(&away(&b.1)));
+        } else {
+            match self.choice {
+                FirstFace::Largest => crops.sort_by(|a, b| b.0.area().total_cmp(&a.0.area())),
+                FirstFace::First => crops.sort_by(|a, b| b.0.score.total_cmp(&a.0.score)),
+            }
         }
-        match self.choice {
-            FirstFace::Largest => crops().max_by(|a, b| a.0.area().total_cmp(&b.0.area())).map(|c| c.1),
-            FirstFace::First => crops().max_by(|a, b| a.0.score.total_cmp(&b.0.score)).map(|c| c.1),
-        }
+        crops.truncate(CANDIDATES);
+        crops.into_iter().map(|(_, crop)| crop).collect()
     }
 
     fn remember(&mut self, found: Option<&Found>) {

@@ -115,9 +115,14 @@ pub fn run(take_dir: impl AsRef<Path>, options: &RunOptions, reporter: &dyn Repo
     let lens = Lens::new(take.manifest.width, take.manifest.height, options.focal_px);
     let sample = recording.sample(SAMPLE)?;
     if sample.is_empty() {
-        return Err(TrackerError::NoFace { path: take.media_path(), frames: take.frames.len() });
+        let message = format!(
+            "{}: no face was found in any of its {} frames; is it upright, and at least an eighth of the picture high?",
+            take.media_path().display(),
+            take.frames.len()
+        );
+        reporter.warn(Warning::new("no-face", message));
     }
-    let step = sample.len().div_ceil(SHAPE_SAMPLE);
+    let step = sample.len().div_ceil(SHAPE_SAMPLE).max(1);
     let pictures: Vec<[[f32; 2]; 68]> = sample.iter().step_by(step).map(|o| o.points_px).collect();
     let shape: PersonShape = Weights::get().shape.fit(&lens, &pictures);
     let person = follower.readout().map(|readout| {
