@@ -40,19 +40,16 @@ def int8_tensor(name, values):
 
 
 def onnx_of(path, tensors, readout, parts):
-    """The linear readout as a graph: one input [1, D] for each part, `scores` [1, 17] out."""
+    """The linear readout as a graph: `features` [1, D], the parts one after the other, in; `scores` [1, 17] out."""
     graph = Graph()
-    inputs, sums = [], []
+    rows_of_parts, length = [], 0
     for part in parts:
         rows, scale = tensors[f"{readout}.{part}"], tensors[f"{readout}.{part}.scale"]
         graph.constants.append(int8_tensor(f"{part}_weights", rows))
         graph.constants.append(tensor(f"{part}_scale", [len(scale)], [float(s) for s in scale], FLOAT))
-        weights = graph.node("DequantizeLinear", [f"{part}_weights", f"{part}_scale"], axis=0)
-        turned = graph.node("Transpose", [weights], perm=[1, 0])
-        sums.append(graph.node("MatMul", [part, turned]))
-        inputs.append((part, [1, rows.shape[1]]))
-    total = sums[0]
-    for other in sums[1:]:
-        total = graph.node("Add", [total, other])
-    graph.node("Identity", [total], output="scores")
-    Path(path).write_bytes(graph.to_bytes("au_readout", inputs, [("scores", [1, 17])]))
+        rows_of_parts.append(graph.node("DequantizeLinear", [f"{part}_weights", f"{part}_scale"], axis=0))
+        length += rows.shape[1]
+    rows = graph.node("Concat", rows_of_parts, axis=1)
+    turned = graph.node("Transpose", [rows], perm=[1, 0])
+    graph.node("MatMul", ["features", turned], output="scores")
+    Path(path).write_bytes(graph.to_bytes("au_readout", [("features", [1, length])], [("scores", [1, 17])]))

@@ -41,7 +41,7 @@ fn measure(person: &mut Person, video: &[([f32; FEATURES], bool)], shown: usize)
         let units = person.units(frame).unwrap();
         assert_eq!(units.presences[shown], units.intensities[shown] >= 1.0);
         for (j, v) in units.intensities.iter().enumerate() {
-            let kind = if j != shown { 2 } else { usize::from(!active) };
+            let kind = if j == shown { usize::from(!active) } else { 2 };
             sums[kind] += f64::from(*v);
             counts[kind] += 1.0;
         }

@@ -48,7 +48,9 @@ impl ShapeModel {
             }
         }
         let mean = points.iter().sum::<DVec3>() / points.len() as f64;
-        points.iter_mut().for_each(|p| *p -= mean);
+        for p in &mut points {
+            *p -= mean;
+        }
         points
     }
 

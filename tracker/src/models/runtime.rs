@@ -95,7 +95,7 @@ impl Network {
         if !fits {
             return Err(wrong(format!("its input has the shape {found:?}, expected {input_shape:?}")).into());
         }
-        let has: Vec<&str> = session.outputs().iter().map(|o| o.name()).collect();
+        let has: Vec<&str> = session.outputs().iter().map(ort::value::Outlet::name).collect();
         if let Some(missing) = outputs.iter().find(|name| !has.contains(name)) {
             return Err(wrong(format!("has no output `{missing}`; it has `{}`", has.join("`, `"))).into());
         }

@@ -168,12 +168,11 @@ impl Follower {
                     return Ok(found);
                 }
             }
-            let faces = match faces {
-                Some(faces) => faces,
-                None => {
-                    detections += 1;
-                    n.detector.detect(picture)?
-                }
+            let faces = if let Some(faces) = faces {
+                faces
+            } else {
+                detections += 1;
+                n.detector.detect(picture)?
             };
             for crop in self.candidates(&faces) {
                 let (found, count) = settle(&mut n.landmarker, picture, crop)?;

@@ -22,6 +22,9 @@ pub struct Block {
     pub pictures: Vec<RgbImage>,
 }
 
+/// Where the blocks come out, and the thread that makes them.
+pub type Decoder<'scope> = (Receiver<Block>, ScopedJoinHandle<'scope, Result<(), VideoError>>);
+
 /// Decodes every `every`-th frame of a video, and the last one, on a thread of `scope`.
 ///
 /// `last` is the number of the video's last frame; the thread ends early when the receiver is gone.
@@ -30,7 +33,7 @@ pub fn decode<'scope>(
     path: &'scope Path,
     every: u32,
     last: u32,
-) -> Result<(Receiver<Block>, ScopedJoinHandle<'scope, Result<(), VideoError>>)> {
+) -> Result<Decoder<'scope>> {
     let (sender, receiver) = sync_channel(WAITING);
     let work = move || {
         let mut reader = Reader::open(path)?;

@@ -166,7 +166,7 @@ impl Landmarker {
         let aligned = readout::aligned(mesh, &canonical_from_picture);
         let coefficients = self.blendshapes(mesh)?;
         let mut inputs: Vec<&[f32]> = vec![&aligned];
-        inputs.extend(coefficients.as_ref().map(|c| c.as_slice()));
+        inputs.extend(coefficients.as_ref().map(<[f32; BLENDSHAPES]>::as_slice));
         if let (Some(maps), 3..) = (&found.inner, readout.parts.len()) {
             inputs.extend(maps.iter().map(Vec::as_slice));
         }

@@ -140,7 +140,9 @@ mod tests {
         };
         let all = [Some(observation(1.0, 5)), None, Some(observation(2.0, 0)), Some(observation(-3.0, 5)), None];
         let mut recorder = Recorder::create(&dir.path().join("o"), 5).unwrap();
-        all.iter().for_each(|o| recorder.push(o.as_ref()).unwrap());
+        for o in &all {
+            recorder.push(o.as_ref()).unwrap();
+        }
         let recording = recorder.finish().unwrap();
         assert_eq!(recording.read().unwrap().collect::<Result<Vec<_>>>().unwrap(), all);
         assert_eq!(recording.sample(2).unwrap().len(), 2);

@@ -67,7 +67,9 @@ impl Writer<'_> {
                 let (rows, flags): (Vec<TrackRow>, Vec<bool>) = batch.drain(..).unzip();
                 let frames = &take.frames[done - rows.len()..done];
                 table.push(&rows.iter().map(Some).collect::<Vec<_>>(), frames, &flags)?;
-                rows.iter().for_each(|r| meter.push(r));
+                for row in &rows {
+                    meter.push(row);
+                }
                 let track = Track { units: units.clone(), presence_units: units.clone(), rows };
                 csv.push(&track)?;
             }

@@ -190,7 +190,9 @@ fn csv(rows: &[Row]) -> String {
     let units: Vec<&str> = rows.first().map_or(vec![], |r| r.errors.icc31.iter().map(|e| e.0.as_str()).collect());
     let mut text = "models,every,threads,wall_secs,cpu_secs,fps,fps_per_core,peak_mib,found_share,landmarks_percent,landmarks_without_offset_percent,head_rotation_deg,icc31_mean,icc31_min,f1_mean".to_owned();
     for kind in ["icc31", "f1"] {
-        units.iter().for_each(|u| text += &format!(",{kind}_{u}"));
+        for unit in &units {
+            let _ = write!(text, ",{kind}_{unit}");
+        }
     }
     text.push('\n');
     for r in rows {
@@ -214,7 +216,9 @@ fn csv(rows: &[Row]) -> String {
             e.icc31_min,
             e.f1_mean
         );
-        e.icc31.iter().chain(&e.f1).for_each(|v| text += &format!(",{:.3}", v.1));
+        for (_, value) in e.icc31.iter().chain(&e.f1) {
+            let _ = write!(text, ",{value:.3}");
+        }
         text.push('\n');
     }
     text

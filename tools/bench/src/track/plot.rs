@@ -12,12 +12,12 @@ const SIZE: (u32, u32) = (960, 420);
 ///
 /// Colours are folders of models, sizes are numbers of threads.
 pub(crate) fn write(path: &Path, rows: &[Row]) -> Result<(), String> {
+    type Value = fn(&Row) -> f64;
     let mut svg = String::new();
     {
         let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
         root.fill(&WHITE).map_err(|e| e.to_string())?;
         let (left, right) = root.split_horizontally(SIZE.0 / 2);
-        type Value = fn(&Row) -> f64;
         let panels: [(_, &str, Value); 2] = [
             (left, "inner-51 error without offset, % of the outer-eye distance", |r| {
                 r.errors.landmarks_without_offset_percent
