@@ -51,11 +51,16 @@ fn solid(point: [f32; 3]) -> DVec3 {
 
 /// `canonical_from_picture`: turns, scales and moves a mesh onto the canonical one, whose outer eye corners are 1 apart.
 ///
-/// `None` where the stable points coincide, or the face is no larger than a pixel.
+/// `None` where the stable points coincide, or the eyes are no more than a pixel apart.
 pub fn alignment(mesh: &Mesh, weights: &Weights) -> Option<Similarity> {
+    let eyes = solid(mesh[LEFT_EYE]).distance(solid(mesh[RIGHT_EYE]));
+    // Written so that a NaN is refused.
+    if !(eyes > 1.0) {
+        return None;
+    }
     let pair = |i: &u16| (solid(weights.canonical[usize::from(*i)]), solid(mesh[usize::from(*i)]));
     let pairs: Vec<(DVec3, DVec3)> = STABLE.iter().map(pair).collect();
-    umeyama(&pairs, true).map(|fit| fit.a_from_b).filter(|s| s.scale > 0.0 && s.scale < 1.0)
+    umeyama(&pairs, true).map(|fit| fit.a_from_b).filter(|s| s.scale > 0.0 && s.scale.is_finite())
 }
 
 /// The 68 points in the picture: those of the mesh, each moved by its own offset, which stands fixed on the aligned face.
