@@ -1,29 +1,44 @@
-"""Faces in a whole picture, by the RFB-320 detector: only to find where photographs have faces."""
+"""Faces in a whole picture, by MediaPipe's short-range detector: only to find where photographs have faces."""
 
 import cv2
 import numpy as np
 
 from network import session
 
+SIZE = 128
+ANCHORS = np.array([
+    [(x + 0.5) / grid, (y + 0.5) / grid] for grid, each in ((16, 2), (8, 6)) for y in range(grid) for x in range(grid) for _ in range(each)
+])  # fmt: skip
+
 
 class Detector:
     def __init__(self, models):
-        self.session = session(models / "face_detector_rfb320.onnx")
+        self.session = session(models / "face_detector.onnx")
 
     def __call__(self, rgb):
-        """Crops (x, y, side, angle) of all faces, surest first."""
+        """Crops (x, y, side, angle) of all faces: of the whole picture, and of squares of it for small ones."""
         h, w = rgb.shape[:2]
-        scale = min(320 / w, 240 / h)
-        size = round(w * scale), round(h * scale)
-        canvas = np.full((240, 320, 3), 127, np.float32)
-        canvas[: size[1], : size[0]] = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-        scores, boxes = self.session.run(None, {"input": ((canvas - 127) / 128).transpose(2, 0, 1)[None]})
-        scores, boxes = scores[0, :, 1], boxes[0] * [320, 240, 320, 240] / scale
+        boxes, scores = [], []
+        for side in (max(h, w), min(h, w) / 2, min(h, w) / 3):
+            steps = lambda length: np.linspace(0, max(length - side, 0), int(np.ceil(max(length - side, 0) / side * 2)) + 1)
+            for top in steps(h):
+                for left in steps(w):
+                    self.look(rgb, left, top, side, boxes, scores)
         kept = []
-        for i in np.flatnonzero(scores > 0.7)[np.argsort(-scores[scores > 0.7])]:
-            if all(overlap(boxes[i], k) < 0.3 for k in kept):
+        for i in np.argsort(-np.array(scores)):
+            if all(overlap(boxes[i], k) < 0.2 for k in kept):
                 kept.append(boxes[i])
         return [((b[0] + b[2]) / 2, (b[1] + b[3]) / 2, max(b[2] - b[0], b[3] - b[1]) * 1.5, 0.0) for b in kept]
+
+    def look(self, rgb, left, top, side, boxes, scores):
+        k = side / SIZE
+        matrix = np.array([[k, 0, left + 0.5 * k - 0.5], [0, k, top + 0.5 * k - 0.5]])
+        patch = cv2.warpAffine(rgb, matrix, (SIZE, SIZE), flags=cv2.INTER_AREA | cv2.WARP_INVERSE_MAP)
+        rows, logits = self.session.run(["regressors", "classificators"], {"input": patch[None].astype(np.float32) / 127.5 - 1})
+        for i in np.flatnonzero(logits.ravel() > 1.5):
+            centre, size = (rows[0, i, :2] + ANCHORS[i] * SIZE) * k + [left, top], rows[0, i, 2:4] * k
+            boxes.append(np.concatenate([centre - size / 2, centre + size / 2]))
+            scores.append(logits.ravel()[i])
 
 
 def overlap(a, b):
