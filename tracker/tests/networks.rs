@@ -95,6 +95,7 @@ fn models(dir: &Path, points: &[f32], logit: f32) -> PathBuf {
     dir
 }
 
+#[expect(clippy::result_large_err, reason = "the error is looked at, not passed around")]
 fn track(take: &Path, models: &Path, every: u32, threads: usize) -> risorius_tracker::Result<RunSummary> {
     let options = RunOptions { models: Some(models.to_owned()), every, threads, ..RunOptions::default() };
     run(take, &options, &Collected::default())

@@ -54,8 +54,7 @@ fn solid(point: [f32; 3]) -> DVec3 {
 /// `None` where the stable points coincide, or the eyes are no more than a pixel apart.
 pub fn alignment(mesh: &Mesh, weights: &Weights) -> Option<Similarity> {
     let eyes = solid(mesh[LEFT_EYE]).distance(solid(mesh[RIGHT_EYE]));
-    // Written so that a NaN is refused.
-    if !(eyes > 1.0) {
+    if !eyes.is_finite() || eyes <= 1.0 {
         return None;
     }
     let pair = |i: &u16| (solid(weights.canonical[usize::from(*i)]), solid(mesh[usize::from(*i)]));
