@@ -45,7 +45,9 @@ fn overlap(a: &[f32; 4], b: &[f32; 4]) -> f32 {
 
 /// Boxes that share more than this are one face.
 const SAME_FACE: f32 = 0.3;
-/// A face is larger in the picture than this share of its shorter side times this: smaller tiles are not searched.
+/// How closely a picture can be looked at, see [`Detector::detect`].
+pub const LEVELS: usize = 3;
+/// Tiles share this much of their side with their neighbours.
 const TILE_OVERLAP: f32 = 0.5;
 
 /// A detector on one thread.
@@ -67,20 +69,18 @@ impl Detector {
         Ok(Self { network, model, input: Vec::new() })
     }
 
-    /// All faces, surest first: those of the whole picture, or where it shows none, those of tiles of it, because a
-    /// detector that sees 128 pixels misses small faces.
-    pub fn detect(&mut self, picture: &RgbImage) -> Result<Vec<Face>> {
+    /// All faces, surest first, at one of [`LEVELS`]: 0 looks at the whole picture, the others at smaller and smaller
+    /// tiles of it, because a detector that sees 128 pixels misses small faces.
+    pub fn detect(&mut self, picture: &RgbImage, level: usize) -> Result<Vec<Face>> {
         let (width, height) = (picture.width() as f32, picture.height() as f32);
-        let mut faces = self.detect_in(picture, [0.0, 0.0, width, height])?;
-        if faces.is_empty() && self.model.kind == DetectorKind::BlazeFace {
-            for side in [width.min(height), 0.5 * width.min(height)] {
-                for tile in tiles(width, height, side) {
-                    faces.extend(self.detect_in(picture, tile)?);
-                }
-                if !faces.is_empty() {
-                    break;
-                }
-            }
+        let parts = match (level, self.model.kind) {
+            (0, _) => vec![[0.0, 0.0, width, height]],
+            (_, DetectorKind::BlazeFace) => tiles(width, height, width.min(height) / level as f32),
+            (_, DetectorKind::Boxes) => vec![],
+        };
+        let mut faces = Vec::new();
+        for part in parts {
+            faces.extend(self.detect_in(picture, part)?);
         }
         Ok(without_doubles(faces))
     }

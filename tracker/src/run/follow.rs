@@ -10,7 +10,7 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 
 use super::crop::Crop;
-use super::detect::{Detector, Face};
+use super::detect::{Detector, Face, LEVELS};
 use super::landmarks::{Found, Landmarker};
 use crate::aus::readout::Readout;
 use crate::error::{Result, TrackerError};
@@ -26,7 +26,7 @@ const CROP_ATTEMPTS: usize = 3;
 /// A lost face that comes back within this many pictures is looked for where it was, before the largest one is taken.
 const MEMORY: usize = 60;
 /// A face that was just detected is believed from this probability on; one that is followed, from the manifest's.
-const FRESH_PRESENCE: f32 = 0.9;
+const FRESH_PRESENCE: f32 = 0.98;
 /// How many detected faces are tried.
 const CANDIDATES: usize = 5;
 /// Weight of a new crop in the smoothed one where the face hardly moves; it rises to 1 with the motion.
@@ -130,7 +130,7 @@ impl Follower {
         };
         let mut faces: Vec<Option<Vec<Face>>> = vec![None; pictures.len()];
         if start[1].is_none() {
-            let detect = |picture: &RgbImage| self.with_networks(|n| n.detector.detect(picture));
+            let detect = |picture: &RgbImage| self.with_networks(|n| n.detector.detect(picture, 0));
             let all = self.pool.install(|| pictures.par_iter().map(detect).collect::<Result<Vec<_>>>())?;
             self.detections += pictures.len();
             faces = all.into_iter().map(Some).collect();
@@ -168,18 +168,25 @@ impl Follower {
                     return Ok(found);
                 }
             }
-            let faces = if let Some(faces) = faces {
-                faces
-            } else {
-                detections += 1;
-                n.detector.detect(picture)?
-            };
-            for crop in self.candidates(&faces) {
-                let (found, count) = settle(&mut n.landmarker, picture, crop)?;
-                runs += count;
-                // What a detector takes for a face has to look like one to the landmark network too.
-                if let Some(found) = found.filter(|f| f.presence >= FRESH_PRESENCE) {
-                    return Ok(Some(found));
+            let mut faces = faces;
+            for level in 0..LEVELS {
+                let seen = if let Some(seen) = faces.take() {
+                    seen
+                } else {
+                    detections += 1;
+                    n.detector.detect(picture, level)?
+                };
+                for crop in self.candidates(&seen) {
+                    let (found, count) = settle(&mut n.landmarker, picture, crop)?;
+                    runs += count;
+                    // What a detector takes for a face has to look like one to the landmark network too, and again in
+                    // the crop that follows from it: what is no face falls apart when it is looked at twice.
+                    let Some(first) = found.filter(|f| f.presence >= FRESH_PRESENCE) else { continue };
+                    runs += 1;
+                    let second = n.landmarker.find(picture, &first.crop)?;
+                    if let Some(second) = second.filter(|f| f.presence >= FRESH_PRESENCE) {
+                        return Ok(Some(second));
+                    }
                 }
             }
             Ok(None)
