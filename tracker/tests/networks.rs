@@ -12,6 +12,7 @@ use risorius_formats::report::Collected;
 use risorius_tracker::aus::readout;
 use risorius_tracker::models::default_dir;
 use risorius_tracker::models::runtime::{Network, Runtime, library_places};
+use risorius_tracker::run::follow::FirstFace;
 use risorius_tracker::run::{RunOptions, RunSummary, run};
 use risorius_tracker::weights::Weights;
 
@@ -208,13 +209,60 @@ fn the_exported_readout_gives_the_scores_of_the_built_in_one() {
     }
 }
 
+/// The default models, or `None` with a loud word about it.
+fn default_models() -> Option<PathBuf> {
+    let models = default_dir();
+    if runtime().is_some() && models.join("models.toml").is_file() {
+        return Some(models);
+    }
+    eprintln!("SKIPPED: the default models are not there; `tools/models` fetches them");
+    None
+}
+
+#[test]
+fn of_several_faces_the_one_that_was_asked_for_is_followed() {
+    let Some(models) = default_models() else { return };
+    let Some(still) = risorius_tests::shared("data/stills/pyfeat_multi_face.jpg") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let take = grey_take(dir.path(), 6);
+    let text = std::fs::read_to_string(take.join("take.toml")).unwrap();
+    let text = text.replace("width = 64", "width = 1000").replace("height = 48", "height = 667");
+    std::fs::write(take.join("take.toml"), text).unwrap();
+    for i in 0..6 {
+        std::fs::remove_file(take.join(format!("pictures/{i:03}.png"))).unwrap();
+        std::fs::copy(&still, take.join(format!("pictures/{i:03}.jpg"))).unwrap();
+    }
+    let nose = |face: FirstFace| {
+        let options = RunOptions { models: Some(models.clone()), threads: 2, face, ..RunOptions::default() };
+        assert_eq!(run(&take, &options, &Collected::default()).unwrap().quality.valid_frames, 6);
+        let table = openface::read(take.join("track/openface.csv"), &ReadOptions::default(), &Collected::default());
+        let noses: Vec<[f32; 2]> =
+            table.unwrap().rows.iter().map(|r| r.landmarks.as_ref().unwrap().points_px[30]).collect();
+        assert!(noses.iter().all(|n| (n[0] - noses[0][0]).hypot(n[1] - noses[0][1]) < 3.0), "{noses:?}");
+        noses[0]
+    };
+    // The face on the right is nearest to the camera.
+    let [x, y] = nose(FirstFace::Largest);
+    assert!((x - 730.0).hypot(y - 362.0) < 10.0, "{x} {y}");
+    let [x, y] = nose(FirstFace::First);
+    assert!((x - 730.0).hypot(y - 362.0) > 50.0, "{x} {y}");
+}
+
+#[test]
+fn a_clip_without_a_face_has_none() {
+    let Some(models) = default_models() else { return };
+    let Some(video) = risorius_tests::shared("data/video/pyfeat_no_face.mp4") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let take = testing::take_at(dir.path(), 960, 540, 95, 24.0);
+    std::fs::copy(video, take.join("video.mp4")).unwrap();
+    let options = RunOptions { models: Some(models), every: 5, threads: 2, ..RunOptions::default() };
+    assert_eq!(run(&take, &options, &Collected::default()).unwrap().quality.valid_frames, 0);
+    assert!(std::fs::read_to_string(take.join("track/run.json")).unwrap().contains("\"landmark_runs\""));
+}
+
 #[test]
 fn the_real_networks_keep_their_accuracy_on_ada() {
-    let models = default_dir();
-    if runtime().is_none() || !models.join("models.toml").is_file() {
-        eprintln!("SKIPPED: the default models are not there; `tools/models` fetches them");
-        return;
-    }
+    let Some(models) = default_models() else { return };
     let Some(video) = risorius_tests::shared("data/captures/ada/video.mp4") else { return };
     let dir = tempfile::tempdir().unwrap();
     let take = testing::take_at(dir.path(), 540, 960, 240, 120.0);
