@@ -7,6 +7,9 @@ use risorius_formats::{FormatError, Hint};
 use risorius_video::VideoError;
 use thiserror::Error;
 
+use crate::models::FETCH;
+use crate::models::runtime::LIBRARY_VARIABLE;
+
 /// An error of this crate.
 #[derive(Debug, Error)]
 #[non_exhaustive]
@@ -149,6 +152,44 @@ pub enum TrackerError {
         /// Landmarks with a depth.
         good: usize,
     },
+    /// ONNX Runtime is nowhere.
+    #[error("ONNX Runtime is not there: looked for {places}", places = listed(places))]
+    NoRuntime {
+        /// Where it was looked for.
+        places: Vec<PathBuf>,
+    },
+    /// ONNX Runtime cannot be loaded.
+    #[error("{path}: cannot be loaded as ONNX Runtime: {message}", path = path.display())]
+    Runtime {
+        /// The library.
+        path: PathBuf,
+        /// What the loader said.
+        message: String,
+    },
+    /// A network failed while it ran.
+    #[error("{path}: the network failed: {message}", path = path.display())]
+    Inference {
+        /// The network's file.
+        path: PathBuf,
+        /// What ONNX Runtime said.
+        message: String,
+    },
+    /// A network gave something else than its manifest promises.
+    #[error("{path}: the network's output `{output}` {problem}", path = path.display())]
+    NetworkOutput {
+        /// The network's file.
+        path: PathBuf,
+        /// The output.
+        output: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The machine gives no threads.
+    #[error("cannot start the threads: {message}")]
+    Threads {
+        /// Why.
+        message: String,
+    },
     /// There is nothing to compare.
     #[error("{dir}: has only {common} frames in common with the take's poses, at least 3 are needed", dir = dir.display())]
     NothingInCommon {
@@ -164,7 +205,7 @@ impl Hint for TrackerError {
         let text: Cow<'_, str> = match self {
             Self::Format(e) => return e.hint(),
             Self::Video(e) => return e.hint(),
-            Self::Cancelled { .. } | Self::Encode { .. } => return None,
+            Self::Cancelled { .. } | Self::Encode { .. } | Self::Threads { .. } => return None,
             Self::NoCommonFrame { .. } => {
                 "is it the table of another video? `--first-frame N` says which number the first frame has in it".into()
             }
@@ -203,6 +244,13 @@ impl Hint for TrackerError {
                     .into()
             }
             Self::TooLittleParallax { .. } => "for a still camera and a moving head use `--method head`".into(),
+            Self::NoRuntime { .. } | Self::Runtime { .. } => format!(
+                "{FETCH}; `{LIBRARY_VARIABLE}` names a library of your own, version 1.24 or later"
+            )
+            .into(),
+            Self::Inference { .. } | Self::NetworkOutput { .. } => {
+                "`models.toml` has to describe the network beside it; `tools/models` fetches networks that fit".into()
+            }
             Self::NothingInCommon { .. } => {
                 "frames are matched by the digits of image names; see `--reference-first`".into()
             }
@@ -213,3 +261,7 @@ impl Hint for TrackerError {
 
 /// The result of everything in this crate.
 pub type Result<T, E = TrackerError> = std::result::Result<T, E>;
+
+fn listed(paths: &[PathBuf]) -> String {
+    paths.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", ")
+}

@@ -1,38 +1,92 @@
 //! `track/track.parquet`: one row per frame, nulls where nothing is known.
 
-use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use polars::io::parquet::write::BatchedWriter;
 use polars::prelude::{Column, DataFrame, ParquetCompression, ParquetWriter};
 use risorius_formats::atomic::AtomicFile;
-use risorius_formats::{FrameRecord, Track, TrackRow};
+use risorius_formats::{ActionUnit, FrameRecord, Track, TrackRow};
 
 use crate::error::{Result, TrackerError};
 
-/// Writes the table, whole or not at all.
-///
-/// Columns: `frame` (u32, from 0), `timestamp_nanos` (i64), `confidence` (f32), `success` (bool), `AUxx_r` (f32, 0–5),
-/// `AUxx_c` (bool), `x_0`…`x_67`, `y_0`…`y_67` (f32, pixels, the centre of the first pixel at 0.5), `pose_Tx`… (f64, mm),
-/// `pose_Rx`… (f64, radians). A row without success holds nulls behind `success`; frames without a row have
-/// `success` = false and no confidence.
-pub fn write(path: impl AsRef<Path>, track: &Track, frames: &[FrameRecord]) -> Result<()> {
-    let path = path.as_ref();
-    let encode = |e: polars::error::PolarsError| TrackerError::Encode { path: path.to_owned(), message: e.to_string() };
-    let mut data = frame_of(track, frames).map_err(encode)?;
-    let mut bytes = Vec::new();
-    ParquetWriter::new(&mut bytes).with_compression(ParquetCompression::Snappy).finish(&mut data).map_err(encode)?;
-    let mut file = AtomicFile::create(path)?;
-    file.write_all(&bytes).map_err(|e| risorius_formats::FormatError::io(path, "write", &e))?;
-    Ok(file.commit()?)
-}
+/// Rows of a row group: what a writer holds in memory.
+pub const ROWS_PER_GROUP: usize = 4096;
 
-fn frame_of(track: &Track, frames: &[FrameRecord]) -> polars::error::PolarsResult<DataFrame> {
-    let mut rows: Vec<Option<&TrackRow>> = vec![None; frames.len()];
+/// Writes the table, whole or not at all; see [`Writer`].
+pub fn write(path: impl AsRef<Path>, track: &Track, frames: &[FrameRecord]) -> Result<()> {
+    let mut by_frame: Vec<Option<&TrackRow>> = vec![None; frames.len()];
     for row in &track.rows {
-        if let Some(slot) = rows.get_mut(row.frame.0 as usize) {
+        if let Some(slot) = by_frame.get_mut(row.frame.0 as usize) {
             *slot = Some(row);
         }
     }
+    let mut writer = Writer::create(path, &track.units, &track.presence_units)?;
+    for (rows, frames) in by_frame.chunks(ROWS_PER_GROUP).zip(frames.chunks(ROWS_PER_GROUP)) {
+        writer.push(rows, frames, &[])?;
+    }
+    writer.finish()
+}
+
+/// A table under construction, written in row groups, so that memory does not grow with the video.
+///
+/// Columns: `frame` (u32, from 0), `timestamp_nanos` (i64), `confidence` (f32), `success` (bool), `interpolated` (bool:
+/// between two tracked frames, not tracked itself), `AUxx_r` (f32, 0–5), `AUxx_c` (bool), `x_0`…`x_67`, `y_0`…`y_67` (f32,
+/// pixels, the centre of the first pixel at 0.5), `pose_Tx`… (f64, mm), `pose_Rx`… (f64, radians). A row without success
+/// holds nulls behind `interpolated`; frames without a row have `success` = false and no confidence.
+pub struct Writer {
+    path: PathBuf,
+    units: Vec<ActionUnit>,
+    presence_units: Vec<ActionUnit>,
+    file: AtomicFile,
+    encoder: Option<BatchedWriter<std::fs::File>>,
+}
+
+impl Writer {
+    /// Begins a table with these AUs.
+    pub fn create(path: impl AsRef<Path>, units: &[ActionUnit], presence_units: &[ActionUnit]) -> Result<Self> {
+        let path = path.as_ref().to_owned();
+        let file = AtomicFile::create(&path)?;
+        Ok(Self { path, units: units.to_vec(), presence_units: presence_units.to_vec(), file, encoder: None })
+    }
+
+    /// Appends frames, each with its row if it has one; `interpolated` says which of them are (none where it is empty).
+    pub fn push(&mut self, rows: &[Option<&TrackRow>], frames: &[FrameRecord], interpolated: &[bool]) -> Result<()> {
+        let path = &self.path;
+        let encode =
+            |e: polars::error::PolarsError| TrackerError::Encode { path: path.clone(), message: e.to_string() };
+        let table = table(&self.units, &self.presence_units, rows, frames, interpolated).map_err(encode)?;
+        if self.encoder.is_none() {
+            let staging = self.file.staging_path();
+            let out =
+                std::fs::File::create(staging).map_err(|e| risorius_formats::FormatError::io(path, "write", &e))?;
+            let writer = ParquetWriter::new(out).with_compression(ParquetCompression::Snappy).set_parallel(false);
+            self.encoder = Some(writer.batched(table.schema()).map_err(encode)?);
+        }
+        match &mut self.encoder {
+            Some(encoder) => encoder.write_batch(&table).map_err(encode),
+            None => Ok(()),
+        }
+    }
+
+    /// Ends the table and puts it in its place.
+    pub fn finish(mut self) -> Result<()> {
+        if self.encoder.is_none() {
+            self.push(&[], &[], &[])?;
+        }
+        if let Some(encoder) = self.encoder.take() {
+            encoder.finish().map_err(|e| TrackerError::Encode { path: self.path.clone(), message: e.to_string() })?;
+        }
+        Ok(self.file.commit()?)
+    }
+}
+
+fn table(
+    units: &[ActionUnit],
+    presence_units: &[ActionUnit],
+    rows: &[Option<&TrackRow>],
+    frames: &[FrameRecord],
+    interpolated: &[bool],
+) -> polars::error::PolarsResult<DataFrame> {
     let good: Vec<Option<&TrackRow>> = rows.iter().map(|r| r.filter(|r| r.success)).collect();
     let f32s = |name: String, value: &dyn Fn(&TrackRow) -> Option<f32>| {
         Column::new(name.into(), good.iter().map(|r| r.and_then(value)).collect::<Vec<Option<f32>>>())
@@ -40,16 +94,18 @@ fn frame_of(track: &Track, frames: &[FrameRecord]) -> polars::error::PolarsResul
     let f64s = |name: &str, value: &dyn Fn(&TrackRow) -> Option<f64>| {
         Column::new(name.into(), good.iter().map(|r| r.and_then(value)).collect::<Vec<Option<f64>>>())
     };
+    let between: Vec<bool> = (0..frames.len()).map(|i| interpolated.get(i).copied().unwrap_or(false)).collect();
     let mut columns = vec![
         Column::new("frame".into(), frames.iter().map(|f| f.index.0).collect::<Vec<u32>>()),
         Column::new("timestamp_nanos".into(), frames.iter().map(|f| f.timestamp_nanos).collect::<Vec<i64>>()),
         Column::new("confidence".into(), rows.iter().map(|r| r.map(|r| r.confidence)).collect::<Vec<Option<f32>>>()),
         Column::new("success".into(), rows.iter().map(|r| r.is_some_and(|r| r.success)).collect::<Vec<bool>>()),
+        Column::new("interpolated".into(), between),
     ];
-    for (k, unit) in track.units.iter().enumerate() {
+    for (k, unit) in units.iter().enumerate() {
         columns.push(f32s(format!("{unit}_r"), &|r| r.intensities[k]));
     }
-    for (k, unit) in track.presence_units.iter().enumerate() {
+    for (k, unit) in presence_units.iter().enumerate() {
         let values: Vec<Option<bool>> = good.iter().map(|r| r.and_then(|r| r.presences[k])).collect();
         columns.push(Column::new(format!("{unit}_c").into(), values));
     }

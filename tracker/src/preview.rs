@@ -49,7 +49,7 @@ pub fn draw(take_dir: impl AsRef<Path>, out: &Path, count: usize, reporter: &dyn
     Ok(chosen)
 }
 
-fn dot(picture: &mut RgbImage, at: DVec2, color: Rgb<u8>) {
+pub(crate) fn dot(picture: &mut RgbImage, at: DVec2, color: Rgb<u8>) {
     for dy in -1..=1 {
         for dx in -1..=1 {
             put(picture, at + DVec2::new(f64::from(dx), f64::from(dy)), color);
@@ -57,7 +57,7 @@ fn dot(picture: &mut RgbImage, at: DVec2, color: Rgb<u8>) {
     }
 }
 
-fn line(picture: &mut RgbImage, a: DVec2, b: DVec2, color: Rgb<u8>) {
+pub(crate) fn line(picture: &mut RgbImage, a: DVec2, b: DVec2, color: Rgb<u8>) {
     if !(a.is_finite() && b.is_finite()) || (b - a).length() > 1e5 {
         return;
     }

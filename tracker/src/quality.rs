@@ -81,6 +81,37 @@ pub fn measure(track: &Track, frames: usize, min_confidence: f32) -> TrackQualit
     }
 }
 
+/// Measures a track that passes by row by row, without keeping all of it.
+#[derive(Debug)]
+pub struct QualityMeter {
+    slim: Track,
+    frames: usize,
+}
+
+impl QualityMeter {
+    /// A meter for a take of `frames` frames.
+    pub fn new(units: &[ActionUnit], frames: usize) -> Self {
+        Self { slim: Track { units: units.to_vec(), ..Track::default() }, frames }
+    }
+
+    /// Takes the next row: its AUs, and of the landmarks, which are a hundred times as many, a run of 8 frames in 64.
+    pub fn push(&mut self, row: &TrackRow) {
+        let landmarks = row.landmarks.clone().filter(|_| row.frame.0 % 64 < 8);
+        self.slim.rows.push(TrackRow {
+            intensities: row.intensities.clone(),
+            presences: Vec::new(),
+            landmarks,
+            landmarks_in_camera_mm: None,
+            ..*row
+        });
+    }
+
+    /// The quality of what passed by.
+    pub fn finish(self) -> TrackQuality {
+        measure(&self.slim, self.frames, 0.0)
+    }
+}
+
 fn unit_range(unit: ActionUnit, k: usize, by_frame: &[Option<&TrackRow>]) -> UnitRange {
     let mut values: Vec<f64> = by_frame.iter().flatten().filter_map(|r| r.intensities[k].map(f64::from)).collect();
     let min = values.iter().copied().reduce(f64::min).map(|v| v as f32);

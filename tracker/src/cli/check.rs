@@ -16,7 +16,8 @@ use crate::preview;
 #[command(after_help = "Examples:
   tracker check takes/ada
   tracker check takes/ada --reference truth/sparse --json
-  tracker check takes/ada --pictures out --count 12")]
+  tracker check takes/ada --pictures out --count 12
+  tracker check takes/ada --overlay ada_tracked.mp4")]
 pub(super) struct CheckArgs {
     /// The take
     take: PathBuf,
@@ -29,6 +30,9 @@ pub(super) struct CheckArgs {
     /// Draw landmarks, mean face and head hull on a spread of frames into this folder
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
+    /// Draw landmarks, head axes and AUs on the whole video, into this file
+    #[arg(long, value_name = "FILE.mp4")]
+    overlay: Option<PathBuf>,
     /// How many pictures
     #[arg(long, value_name = "N", default_value_t = 12, requires = "pictures")]
     count: usize,
@@ -39,6 +43,9 @@ pub(super) fn run(args: &CheckArgs, console: &Console) -> Result<(), Failure> {
     let report = check::check(&args.take, reference.as_ref(), console)?;
     if let Some(out) = &args.pictures {
         preview::draw(&args.take, out, args.count, console)?;
+    }
+    if let Some(out) = &args.overlay {
+        crate::overlay::draw(&args.take, out, console)?;
     }
     let mut text = super::quality_in_words(&report.track);
     match &report.poses {

@@ -3,8 +3,7 @@
 mod check;
 mod import;
 mod poses;
-
-use std::path::PathBuf;
+mod run;
 
 use clap::{Parser, Subcommand};
 use risorius_console::{Common, CommonArgs, Console, Failure};
@@ -20,7 +19,7 @@ pub struct Cli {
 }
 
 const EXAMPLES: &str = "Example:
-  tracker import takes/ada --openface ada.csv
+  tracker run takes/ada
   tracker poses takes/ada
   tracker check takes/ada";
 
@@ -32,38 +31,16 @@ impl Common for Cli {
 
 #[derive(Subcommand, Debug)]
 enum Command {
-    /// Track the face with built-in models (not built yet: use `import`)
-    Run(RunArgs),
+    Run(run::RunArgs),
     Import(import::ImportArgs),
     Poses(poses::PosesArgs),
     Check(check::CheckArgs),
 }
 
-/// Not built yet.
-#[derive(clap::Args, Debug)]
-#[command(after_help = "This command is not built yet. Track the video with OpenFace and import its table:\n  \
-                        tracker import takes/ada --openface ada.csv")]
-struct RunArgs {
-    /// The take
-    take: PathBuf,
-    /// Folder with the models
-    #[arg(long, value_name = "DIR")]
-    models: Option<PathBuf>,
-    /// Detect the face anew every N frames
-    #[arg(long, value_name = "N")]
-    every: Option<u32>,
-    /// Threads
-    #[arg(long, value_name = "N")]
-    threads: Option<u32>,
-}
-
 /// Runs one command.
 pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     match &cli.command {
-        Command::Run(args) => {
-            Err(Failure::input(format!("{}: tracking by built-in models is not built yet", args.take.display()))
-                .with_hint("track the video with OpenFace and use `tracker import TAKE --openface FILE.csv`"))
-        }
+        Command::Run(args) => run::run(args, console),
         Command::Import(args) => import::run(args, console),
         Command::Poses(args) => poses::run(args, console),
         Command::Check(args) => check::run(args, console),

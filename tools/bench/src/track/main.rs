@@ -1,0 +1,260 @@
+//! How fast and how accurate `tracker run` is on a capture with truth: over `--every`, threads and models.
+//!
+//! Each run is a process of the release build, as a user runs it; its CPU time and peak memory are the system's count.
+//! Times on a shared machine are noisy: CPU seconds are the sounder ones. Writes `track_bench.csv` and `track_bench.svg`.
+
+mod metrics;
+mod npz;
+mod plot;
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode, Stdio};
+use std::time::Instant;
+
+use clap::Parser;
+use glam::DMat3;
+use risorius_console::{Common, CommonArgs, Console, Failure};
+use risorius_formats::openface::{self, ReadOptions};
+use risorius_formats::{ErrorKind, FormatError, Silent, atomic};
+use serde::Serialize;
+use wait4::Wait4 as _;
+
+use metrics::{Errors, Truth};
+
+/// Speed and accuracy of `tracker run` on a capture with truth
+#[derive(Debug, Parser)]
+#[command(
+    name = "bench-track",
+    version,
+    about,
+    after_help = "Example:\n  bench-track --capture captures/ada --work work/bench --every 1,2,4,8 --threads 1,2"
+)]
+struct Cli {
+    #[command(flatten)]
+    common: CommonArgs,
+    /// A capture: video.mp4, and truth.npz with lm2d [frames, 68, 2] px, au [frames, 17] 0–5, head_R [frames, 3, 3]
+    #[arg(long, value_name = "DIR")]
+    capture: PathBuf,
+    /// The truth, if it is not the capture's truth.npz: .npz, or an OpenFace table without noise (.csv)
+    #[arg(long, value_name = "FILE")]
+    truth: Option<PathBuf>,
+    /// Where the take and the results go
+    #[arg(long, value_name = "DIR")]
+    work: PathBuf,
+    /// Values of `--every`
+    #[arg(long, value_delimiter = ',', default_values_t = [1u32, 2, 4, 8])]
+    every: Vec<u32>,
+    /// Numbers of threads
+    #[arg(long, value_delimiter = ',', default_values_t = [1u32, 2])]
+    threads: Vec<u32>,
+    /// Folders of models; none is the default one
+    #[arg(long, value_name = "DIR", value_delimiter = ',')]
+    models: Vec<PathBuf>,
+    /// Further options for `tracker run`, such as `--online`
+    #[arg(last = true)]
+    options: Vec<String>,
+}
+
+impl Common for Cli {
+    fn common(&self) -> &CommonArgs {
+        &self.common
+    }
+}
+
+/// One run.
+#[derive(Clone, Debug, Serialize)]
+struct Row {
+    models: String,
+    every: u32,
+    threads: u32,
+    wall_secs: f64,
+    cpu_secs: f64,
+    /// Frames of the video per second of wall time.
+    fps: f64,
+    /// Frames of the video per second of CPU time: what one undisturbed core does.
+    fps_per_core: f64,
+    peak_mib: f64,
+    errors: Errors,
+}
+
+fn main() -> ExitCode {
+    risorius_console::run(run)
+}
+
+fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
+    let truth_path = cli.truth.clone().unwrap_or_else(|| cli.capture.join("truth.npz"));
+    let truth = read_truth(&truth_path)?;
+    std::fs::create_dir_all(&cli.work).map_err(|e| FormatError::io(&cli.work, "create", &e))?;
+    let take = cli.work.join("take");
+    let text = |p: &Path| p.to_string_lossy().into_owned();
+    if !take.join("take.toml").is_file() {
+        child("capture", &["record", "--input", &text(&cli.capture.join("video.mp4")), "--out", &text(&take)], cli)?;
+    }
+    let mut rows: Vec<Row> = Vec::new();
+    let models: Vec<Option<&PathBuf>> =
+        if cli.models.is_empty() { vec![None] } else { cli.models.iter().map(Some).collect() };
+    for folder in models {
+        for (&every, &threads) in cli.every.iter().flat_map(|e| cli.threads.iter().map(move |t| (e, t))) {
+            let mut args =
+                vec!["run".to_owned(), text(&take), format!("--every={every}"), format!("--threads={threads}")];
+            args.extend(folder.map(|f| format!("--models={}", text(f))));
+            args.extend(cli.options.iter().cloned());
+            console.say(&format!("tracker {}", args.join(" ")));
+            let (wall_secs, cpu_secs, peak_mib) = child("tracker", &args, cli)?;
+            let track = openface::read(take.join("track/openface.csv"), &ReadOptions::default(), &Silent)?;
+            let frames = truth.landmarks_px.len() as f64;
+            rows.push(Row {
+                models: folder.map_or_else(|| "default".to_owned(), |f| text(f)),
+                every,
+                threads,
+                wall_secs,
+                cpu_secs,
+                fps: frames / wall_secs,
+                fps_per_core: frames / cpu_secs,
+                peak_mib,
+                errors: metrics::compare(&track, &truth),
+            });
+        }
+    }
+    atomic::write_file(cli.work.join("track_bench.csv"), csv(&rows).as_bytes())?;
+    let plot = cli.work.join("track_bench.svg");
+    plot::write(&plot, &rows).map_err(|message| FormatError::syntax(message).in_file(&plot))?;
+    console.finish(&rows, &table(&rows));
+    Ok(())
+}
+
+fn read_truth(path: &Path) -> Result<Truth, Failure> {
+    if path.extension().is_some_and(|e| e == "csv") {
+        let track = openface::read(path, &ReadOptions::default(), &Silent)?;
+        let units: Vec<Option<usize>> =
+            risorius_formats::au::OPENFACE_INTENSITIES.iter().map(|u| track.unit_index(*u)).collect();
+        let mut truth = Truth::default();
+        for (i, row) in track.rows.iter().enumerate() {
+            let known = row.landmarks.as_ref().filter(|_| row.frame.0 as usize == i);
+            let landmarks = known.ok_or_else(|| {
+                FormatError::new(ErrorKind::Missing, format!("frame {i} has no landmarks")).in_file(path)
+            })?;
+            truth.landmarks_px.push(landmarks.points_px.map(|p| p.map(f64::from)));
+            let value = |k: &Option<usize>| k.and_then(|k| row.intensities[k]).map_or(0.0, f64::from);
+            truth.intensities.push(std::array::from_fn(|j| value(&units[j])));
+            truth.head_rotations.extend(row.head_pose.map(|p| p.camera_from_head().rotation));
+        }
+        return Ok(truth);
+    }
+    let arrays = npz::read(path)?;
+    let get = |name: &str, inner: &[usize]| {
+        arrays.get(name).filter(|a| a.shape.len() == inner.len() + 1 && a.shape[1..] == *inner).ok_or_else(|| {
+            let message = format!("has no array `{name}` of floats with the shape [frames, {inner:?}]");
+            FormatError::new(ErrorKind::Missing, message).in_file(path)
+        })
+    };
+    let landmarks = get("lm2d", &[68, 2])?;
+    let intensities = get("au", &[17])?;
+    let rotations = get("head_R", &[3, 3]).map(|a| a.values.as_slice()).unwrap_or_default();
+    let point = |v: &[f64]| std::array::from_fn(|i| [v[2 * i], v[2 * i + 1]]);
+    Ok(Truth {
+        landmarks_px: landmarks.values.chunks_exact(136).map(point).collect(),
+        intensities: intensities.values.chunks_exact(17).map(|v| std::array::from_fn(|j| v[j])).collect(),
+        head_rotations: rotations
+            .chunks_exact(9)
+            .map(|v| DMat3::from_cols_array(&std::array::from_fn(|i| v[i])).transpose())
+            .collect(),
+    })
+}
+
+/// Runs a program beside this one; gives its wall seconds, CPU seconds and peak MiB.
+fn child<S: AsRef<str>>(program: &str, args: &[S], cli: &Cli) -> Result<(f64, f64, f64), Failure> {
+    let here = std::env::current_exe().map_err(|e| FormatError::io("/proc/self/exe", "find", &e))?;
+    let started = Instant::now();
+    let path = cli.work.join("last.json");
+    let file = std::fs::File::create(&path).map_err(|e| FormatError::io(&path, "create", &e))?;
+    let mut child = Command::new(here.with_file_name(program))
+        .args(args.iter().map(AsRef::as_ref))
+        .args(["--json", "-q"])
+        .stdout(Stdio::from(file))
+        .spawn()
+        .map_err(|e| {
+            FormatError::io(program, "start", &e).with_hint("build everything with `cargo build --release --workspace`")
+        })?;
+    let used = child.wait4().map_err(|e| FormatError::io(program, "wait for", &e))?;
+    if !used.status.success() {
+        let text = std::fs::read_to_string(&path).unwrap_or_default();
+        return Err(Failure::input(format!("`{program} …` failed")).with_hint(text.trim().to_owned()));
+    }
+    let cpu = used.rusage.utime.as_secs_f64() + used.rusage.stime.as_secs_f64();
+    Ok((started.elapsed().as_secs_f64(), cpu, used.rusage.maxrss as f64 / (1024.0 * 1024.0)))
+}
+
+fn csv(rows: &[Row]) -> String {
+    let units: Vec<&str> = rows.first().map_or(vec![], |r| r.errors.icc31.iter().map(|e| e.0.as_str()).collect());
+    let mut text = "models,every,threads,wall_secs,cpu_secs,fps,fps_per_core,peak_mib,found_share,landmarks_percent,landmarks_without_offset_percent,head_rotation_deg,icc31_mean,icc31_min,f1_mean".to_owned();
+    for kind in ["icc31", "f1"] {
+        for unit in &units {
+            let _ = write!(text, ",{kind}_{unit}");
+        }
+    }
+    text.push('\n');
+    for r in rows {
+        let e = &r.errors;
+        let _ = write!(
+            text,
+            "\"{}\",{},{},{:.2},{:.2},{:.1},{:.1},{:.0},{:.4},{:.3},{:.3},{:.3},{:.3},{:.3},{:.3}",
+            r.models.replace('"', "'"),
+            r.every,
+            r.threads,
+            r.wall_secs,
+            r.cpu_secs,
+            r.fps,
+            r.fps_per_core,
+            r.peak_mib,
+            e.found_share,
+            e.landmarks_percent,
+            e.landmarks_without_offset_percent,
+            e.head_rotation_deg.unwrap_or(f64::NAN),
+            e.icc31_mean,
+            e.icc31_min,
+            e.f1_mean
+        );
+        for (_, value) in e.icc31.iter().chain(&e.f1) {
+            let _ = write!(text, ",{value:.3}");
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn table(rows: &[Row]) -> String {
+    let mut text = "| models | every | threads | wall s | CPU s | frames/s | per core | peak MiB | inner 51 % | without offset % | pose ° | ICC(3,1) mean | min | F1 |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|---|".to_owned();
+    for r in rows {
+        let e = &r.errors;
+        let pose = e.head_rotation_deg.map_or_else(|| "–".to_owned(), |d| format!("{d:.2}"));
+        let _ = write!(
+            text,
+            "\n| {} | {} | {} | {:.1} | {:.1} | {:.0} | {:.0} | {:.0} | {:.2} | {:.2} | {pose} | {:.3} | {:.2} | {:.3} |",
+            r.models,
+            r.every,
+            r.threads,
+            r.wall_secs,
+            r.cpu_secs,
+            r.fps,
+            r.fps_per_core,
+            r.peak_mib,
+            e.landmarks_percent,
+            e.landmarks_without_offset_percent,
+            e.icc31_mean,
+            e.icc31_min,
+            e.f1_mean
+        );
+    }
+    if let Some(first) = rows.first() {
+        let list = |e: &[(String, f64)]| e.iter().map(|(u, v)| format!("{u} {v:.2}")).collect::<Vec<_>>().join(", ");
+        let _ = write!(
+            text,
+            "\n\nfirst run, ICC(3,1): {}\nfirst run, F1: {}",
+            list(&first.errors.icc31),
+            list(&first.errors.f1)
+        );
+    }
+    text
+}

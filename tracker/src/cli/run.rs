@@ -1,0 +1,111 @@
+//! `tracker run`.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use risorius_console::{Console, Failure};
+use serde::Deserialize;
+
+use crate::aus::Calibration;
+use crate::run::follow::FirstFace;
+use crate::run::{self, RunOptions};
+
+/// Track the face: 68 landmarks, 17 AUs, head pose
+///
+/// Runs ONNX networks over the video: the face is detected once and then followed. AU intensities come from a regressor
+/// of this project, calibrated on the person over the whole video, as OpenFace does. Writes TAKE/track/openface.csv (an
+/// OpenFace 2.2 table), TAKE/track/track.parquet and TAKE/track/run.json.
+///
+/// The networks and the ONNX Runtime are not part of this program: `tools/models` fetches them.
+#[derive(clap::Args, Debug)]
+#[command(after_help = "Examples:
+  tracker run takes/ada
+  tracker run takes/ada --every 4
+  tracker run takes/ada --models my-models --threads 1")]
+pub(super) struct RunArgs {
+    /// The take
+    take: PathBuf,
+    /// Folder with models.toml and the networks it names [default: where `tools/models` puts them]
+    #[arg(long, value_name = "DIR")]
+    models: Option<PathBuf>,
+    /// Track every N-th frame and interpolate between them [default: 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    every: Option<u32>,
+    /// Threads for the networks [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    threads: Option<u32>,
+    /// Which face to follow where there are several [default: largest]
+    #[arg(long, value_name = "WHICH")]
+    face: Option<FaceArg>,
+    /// Focal length of the camera, pixels [default: 1.2 × the longer side]
+    #[arg(long, value_name = "PX")]
+    focal: Option<f64>,
+    /// Learn the person's rest from earlier frames only, as a live system has to
+    #[arg(long)]
+    online: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum FaceArg {
+    Largest,
+    /// The one that the detector is surest of
+    First,
+}
+
+/// Keys of `risorius.toml`, table `tracker-run`.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+struct Settings {
+    models: Option<PathBuf>,
+    every: Option<u32>,
+    threads: Option<u32>,
+    face: Option<FaceArg>,
+    focal: Option<f64>,
+    online: Option<bool>,
+}
+
+pub(super) fn run(args: &RunArgs, console: &Console) -> Result<(), Failure> {
+    let settings: Settings = risorius_console::settings("tracker-run")?;
+    let defaults = RunOptions::default();
+    let focal_px = args.focal.or(settings.focal);
+    if let Some(focal) = focal_px.filter(|f| !(f.is_finite() && *f > 0.0)) {
+        return Err(Failure::usage(format!("`--focal` has to be above 0 pixels, not {focal}")));
+    }
+    let every = args.every.or(settings.every).unwrap_or(defaults.every);
+    let threads = args.threads.or(settings.threads).map_or(defaults.threads, |n| n as usize);
+    if every == 0 || threads == 0 {
+        return Err(Failure::usage("`every` and `threads` have to be at least 1"));
+    }
+    let face = match args.face.or(settings.face).unwrap_or(FaceArg::Largest) {
+        FaceArg::Largest => FirstFace::Largest,
+        FaceArg::First => FirstFace::First,
+    };
+    let online = args.online || settings.online.unwrap_or(false);
+    let options = RunOptions {
+        models: args.models.clone().or(settings.models),
+        every,
+        threads,
+        face,
+        focal_px,
+        calibration: if online { Calibration::Online } else { Calibration::WholeVideo },
+    };
+    let summary = run::run(&args.take, &options, console)?;
+    let mut human = super::quality_in_words(&summary.quality);
+    let _ = write!(
+        human,
+        "\nhead pose    {:.2} px from the fitted shape (focal length {:.0} px)\ntracked      {} frames in {:.1} s: {:.0} frames/s of the video",
+        summary.shape_error_px,
+        summary.focal_px,
+        summary.frames_tracked,
+        summary.tracking_secs,
+        summary.frames as f64 / summary.seconds.max(1e-9),
+    );
+    if summary.frames_interpolated > 0 {
+        let _ = write!(human, ", {} interpolated", summary.frames_interpolated);
+    }
+    let _ = write!(human, "\nwritten to   {}", args.take.join("track").display());
+    console.finish(&summary, &human);
+    Ok(())
+}

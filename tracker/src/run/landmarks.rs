@@ -1,0 +1,220 @@
+//! The points of one face in one picture, by a landmark network.
+
+use image::RgbImage;
+
+use super::crop::{Crop, Sampling};
+use super::mesh::{self, MESH_POINTS, Mesh};
+use crate::aus::FEATURES;
+use crate::aus::readout::{self, Readout};
+use crate::error::{Result, TrackerError};
+use crate::models::ModelFolder;
+use crate::models::manifest::{LandmarkModel, Layout, PointSet};
+use crate::models::runtime::{Network, Runtime};
+use crate::weights::Weights;
+
+/// Coefficients of the blendshape network.
+pub const BLENDSHAPES: usize = 52;
+
+/// What the networks say about a face in one picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Found {
+    /// The 68 points, pixels of the picture, the centre of the first pixel at (0.5, 0.5).
+    pub points_px: [[f32; 2]; 68],
+    /// All points of the mesh, where the network gives one.
+    pub mesh: Option<Box<Mesh>>,
+    /// Feature maps inside the network: 8×8×128, and the part of 16×16×128 that sees the face.
+    inner: Option<[Vec<f32>; 2]>,
+    /// Scores of the AU readout with the head's yaw and pitch, where the network gives a mesh.
+    pub features: Option<[f32; FEATURES]>,
+    /// Probability that this is a face, 0–1.
+    pub presence: f32,
+    /// Where to look next.
+    pub crop: Crop,
+}
+
+/// The landmark networks on one thread.
+#[derive(Debug)]
+pub struct Landmarker {
+    network: Network,
+    blendshapes: Option<Network>,
+    readout: Option<&'static Readout>,
+    model: LandmarkModel,
+    input: Vec<f32>,
+}
+
+impl Landmarker {
+    /// Loads the networks of a folder of models.
+    pub fn open(runtime: &Runtime, models: &ModelFolder) -> Result<Self> {
+        let model = models.manifest.landmarks.clone();
+        let size = model.width as usize;
+        let shape = if model.layout == Layout::Nhwc { [1, size, size, 3] } else { [1, 3, size, size] };
+        let mut outputs = vec![model.points.as_str()];
+        outputs.extend(model.presence.as_deref());
+        let has_inner = model.inner8.is_some() && model.inner16.is_some();
+        if has_inner {
+            outputs.extend(model.inner8.as_deref());
+            outputs.extend(model.inner16.as_deref());
+        }
+        let network = Network::open(runtime, &models.dir.join(&model.file), &shape, &outputs)?;
+        let blendshapes = match &models.manifest.blendshapes {
+            Some(m) => {
+                Some(Network::open(runtime, &models.dir.join(&m.file), &[1, mesh::BLENDSHAPE_POINTS.len(), 2], &[])?)
+            }
+            None => None,
+        };
+        // Those that need more come first.
+        let readouts = &Weights::get().readouts;
+        let readout = match (model.kind, blendshapes.is_some(), has_inner) {
+            (PointSet::Points68, ..) => None,
+            (_, true, true) => readouts.first(),
+            (_, true, false) => readouts.get(1),
+            (_, false, _) => readouts.get(2),
+        };
+        Ok(Self { network, blendshapes, readout, model, input: Vec::new() })
+    }
+
+    /// The readout that fits these networks.
+    pub fn readout(&self) -> Option<&'static Readout> {
+        self.readout
+    }
+
+    /// Side of a first crop over the side of a detector's box, and of the next crop over the points'.
+    pub fn margin(&self) -> f32 {
+        self.model.margin
+    }
+
+    /// Looks for a face in `crop`; `None` where there is none.
+    pub fn find(&mut self, picture: &RgbImage, crop: &Crop) -> Result<Option<Found>> {
+        let model = &self.model;
+        let matrix = crop.picture_from_crop(model.width);
+        let sampling = Sampling {
+            width: model.width,
+            height: model.height,
+            layout: model.layout,
+            mean: model.mean,
+            scale: model.scale,
+        };
+        sampling.sample(picture, &matrix, &mut self.input);
+        let depth_scale = crop.side / model.width as f32;
+        let decoded = self.network.run(&self.input, |outputs| {
+            let mut outputs = outputs.iter();
+            let values = *outputs.next().unwrap_or(&&[][..]);
+            let presence = match model.presence.as_ref().and_then(|_| outputs.next()) {
+                Some(logit) => logit.first().map_or(f32::NAN, |l| 1.0 / (1.0 + (-l).exp())),
+                None => 1.0,
+            };
+            let inner = match (outputs.next(), outputs.next()) {
+                (Some(map8), Some(map16)) => Some(inner_maps(map8, map16)?),
+                _ => None,
+            };
+            let expected = match model.kind {
+                PointSet::Mesh478 => 3 * MESH_POINTS,
+                PointSet::Points68 => 2 * 68,
+            };
+            if values.len() != expected {
+                return Err(format!("has {} numbers, expected {expected}", values.len()));
+            }
+            if !presence.is_finite() || values.iter().any(|v| !v.is_finite()) {
+                return Err("holds numbers that are not finite".to_owned());
+            }
+            Ok(match model.kind {
+                PointSet::Mesh478 => {
+                    let mut points = Box::new([[0.0; 3]; MESH_POINTS]);
+                    for (point, v) in points.iter_mut().zip(values.chunks_exact(3)) {
+                        let [x, y] = matrix.apply([v[0], v[1]]);
+                        *point = [x, y, v[2] * depth_scale];
+                    }
+                    (presence, None, Some(points), inner)
+                }
+                PointSet::Points68 => {
+                    let at = |i: usize| matrix.apply([values[2 * i], values[2 * i + 1]]);
+                    (presence, Some(std::array::from_fn(at)), None, None)
+                }
+            })
+        })?;
+        let (presence, points, mesh, inner) = decoded.map_err(|problem| TrackerError::NetworkOutput {
+            path: self.network.path().to_owned(),
+            output: model.points.clone(),
+            problem,
+        })?;
+        if presence < model.threshold {
+            return Ok(None);
+        }
+        let next = match (&mesh, &points) {
+            (Some(mesh), _) => Crop::around(
+                mesh.iter().map(|p| [p[0], p[1]]),
+                mesh::flat(mesh, mesh::LEFT_EYE),
+                mesh::flat(mesh, mesh::RIGHT_EYE),
+                model.margin,
+            ),
+            (None, Some(points)) => Crop::around(points.iter().copied(), points[36], points[45], model.margin),
+            (None, None) => None,
+        };
+        let Some(next) = next else { return Ok(None) };
+        let points_px = match (&mesh, points) {
+            (_, Some(points)) => points,
+            (Some(mesh), None) => mesh::landmarks68(mesh),
+            (None, None) => return Ok(None),
+        };
+        Ok(Some(Found { points_px, mesh, inner, features: None, presence, crop: next }))
+    }
+
+    /// Adds the features, as far as there are networks for them.
+    pub fn express(&mut self, found: &mut Found) -> Result<()> {
+        let (Some(readout), Some(mesh)) = (self.readout, &found.mesh) else { return Ok(()) };
+        let Some(canonical_from_picture) = mesh::alignment(mesh, Weights::get()) else { return Ok(()) };
+        let aligned = readout::aligned(mesh, &canonical_from_picture);
+        let coefficients = self.blendshapes(mesh)?;
+        let mut inputs: Vec<&[f32]> = vec![&aligned];
+        inputs.extend(coefficients.as_ref().map(<[f32; BLENDSHAPES]>::as_slice));
+        if let (Some(maps), 3..) = (&found.inner, readout.parts.len()) {
+            inputs.extend(maps.iter().map(Vec::as_slice));
+        }
+        if let Some(scores) = readout.scores(&inputs).filter(|s| s.iter().all(|v| v.is_finite())) {
+            found.features = Some(readout::features(&scores, &canonical_from_picture));
+        }
+        // They are the largest part, and done with.
+        found.inner = None;
+        Ok(())
+    }
+
+    /// Coefficients 0–1 of the blendshape network, if there is one.
+    fn blendshapes(&mut self, mesh: &Mesh) -> Result<Option<[f32; BLENDSHAPES]>> {
+        let Some(network) = &mut self.blendshapes else { return Ok(None) };
+        self.input.clear();
+        self.input.extend(mesh::BLENDSHAPE_POINTS.iter().flat_map(|&i| mesh::flat(mesh, usize::from(i))));
+        let values = network.run(&self.input, |outputs| <[f32; BLENDSHAPES]>::try_from(*outputs.first()?).ok())?;
+        match values.filter(|v| v.iter().all(|x| x.is_finite())) {
+            Some(values) => Ok(Some(values)),
+            None => Err(TrackerError::NetworkOutput {
+                path: network.path().to_owned(),
+                output: "coefficients".to_owned(),
+                problem: format!("is not {BLENDSHAPES} finite numbers"),
+            }),
+        }
+    }
+}
+
+/// Channels of the inner maps.
+const CHANNELS: usize = 128;
+/// Rows and columns of the 16×16 map that see the face.
+const WINDOW: [std::ops::Range<usize>; 2] = [3..14, 2..14];
+
+/// The inner maps as the readout wants them: channel by channel, row by row.
+fn inner_maps(map8: &[f32], map16: &[f32]) -> Result<[Vec<f32>; 2], String> {
+    if map8.len() != CHANNELS * 8 * 8 || map16.len() != CHANNELS * 16 * 16 {
+        return Err(format!(
+            "has inner maps of {} and {} numbers, expected 8×8×128 and 16×16×128",
+            map8.len(),
+            map16.len()
+        ));
+    }
+    let [rows, columns] = &WINDOW;
+    let mut window = Vec::with_capacity(CHANNELS * rows.len() * columns.len());
+    for channel in map16.chunks_exact(16 * 16) {
+        for row in channel.chunks_exact(16).take(rows.end).skip(rows.start) {
+            window.extend_from_slice(&row[columns.clone()]);
+        }
+    }
+    Ok([map8.to_vec(), window])
+}

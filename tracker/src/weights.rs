@@ -1,0 +1,121 @@
+//! The project's own fitted numbers: the canonical mesh, the model of resting faces, the AU regressor.
+//!
+//! They are made by `tools/train-aus` from rendered faces and lie in the repository (`tracker/models`), so that every
+//! build of one version gives the same numbers.
+
+use std::sync::LazyLock;
+
+use glam::DVec3;
+use safetensors::{Dtype, SafeTensors};
+
+use crate::aus::readout::{Part, Readout};
+use crate::head_pose::shape::ShapeModel;
+
+static FILE: &[u8] = include_bytes!("../models/face_v1.safetensors");
+static WEIGHTS: LazyLock<Weights> =
+    LazyLock::new(|| Weights::parse(FILE).expect("the embedded file is whole: a test reads it"));
+
+/// All fitted numbers of one version.
+#[derive(Clone, Debug)]
+pub struct Weights {
+    /// Name and version.
+    pub name: String,
+    /// The mean mesh: outer eye corners 1 apart, x right, y down, z away from the camera.
+    pub canonical: Vec<[f32; 3]>,
+    /// From a point of the mesh to the landmark it stands for, in the frame of the canonical mesh.
+    pub point_offsets: Vec<[f32; 3]>,
+    /// Resting faces.
+    pub shape: ShapeModel,
+    /// AU readouts, those that need more first.
+    pub readouts: Vec<Readout>,
+}
+
+impl Weights {
+    /// The embedded weights.
+    pub fn get() -> &'static Self {
+        &WEIGHTS
+    }
+
+    fn parse(bytes: &[u8]) -> Result<Self, String> {
+        let text = |e: safetensors::SafeTensorError| e.to_string();
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(text)?;
+        let name = header.metadata().as_ref().and_then(|m| m.get("name")).ok_or("no name")?.clone();
+        let file = File { tensors: SafeTensors::deserialize(bytes).map_err(text)? };
+        let points =
+            |name: &str| Ok::<_, String>(file.floats(name)?.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect());
+        let solid = |p: &[f32; 3]| DVec3::from(p.map(f64::from));
+        let mean: Vec<[f32; 3]> = points("shape_mean")?;
+        let modes: Vec<[f32; 3]> = points("shape_modes")?;
+        let shape = ShapeModel {
+            modes: modes.chunks_exact(mean.len()).map(|m| m.iter().map(solid).collect()).collect(),
+            mean: mean.iter().map(solid).collect(),
+        };
+        let readouts = ["full", "plain", "bare"].iter().map(|name| file.readout(name)).collect::<Result<_, _>>()?;
+        Ok(Self { name, canonical: points("canonical")?, point_offsets: points("point_offsets")?, shape, readouts })
+    }
+}
+
+struct File<'a> {
+    tensors: SafeTensors<'a>,
+}
+
+impl File<'_> {
+    fn floats(&self, name: &str) -> Result<Vec<f32>, String> {
+        let tensor = self.tensors.tensor(name).map_err(|e| format!("{name}: {e}"))?;
+        if tensor.dtype() != Dtype::F32 {
+            return Err(format!("{name}: is not of 32-bit floats"));
+        }
+        Ok(tensor.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+    }
+
+    fn readout(&self, name: &str) -> Result<Readout, String> {
+        let mut parts = Vec::new();
+        for kind in ["mesh", "blendshapes", "inner8", "inner16"] {
+            let part = format!("{name}.{kind}");
+            let Ok(tensor) = self.tensors.tensor(&part) else { continue };
+            if tensor.dtype() != Dtype::I8 {
+                return Err(format!("{part}: is not of 8-bit integers"));
+            }
+            let weights: Vec<i8> = tensor.data().iter().map(|b| i8::from_le_bytes([*b])).collect();
+            parts.push(Part { weights, scales: self.floats(&format!("{part}.scale"))? });
+        }
+        let numbers = |what: &str| self.floats(&format!("{name}.{what}"));
+        Ok(Readout {
+            parts,
+            gain: numbers("gain")?,
+            threshold: numbers("threshold")?,
+            presence: numbers("presence")?,
+            prior_mean: numbers("prior_mean")?,
+            prior_deviation: numbers("prior_deviation")?,
+            noise: numbers("noise")?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::aus::{POSE_TERMS, UNITS};
+    use crate::run::mesh::{LEFT_EYE, MESH_POINTS, RIGHT_EYE};
+
+    #[test]
+    fn the_embedded_weights_are_whole() {
+        let w = Weights::parse(FILE).unwrap();
+        assert_eq!((w.canonical.len(), w.point_offsets.len(), w.shape.mean.len()), (MESH_POINTS, 68, 68));
+        let (a, b) = (w.canonical[LEFT_EYE], w.canonical[RIGHT_EYE]);
+        assert!(((0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f32>() - 1.0).abs() < 1e-4);
+        assert!(w.shape.modes.len() >= 10 && w.shape.modes.iter().all(|m| m.len() == 68));
+        assert_eq!(w.readouts.iter().map(|r| r.parts.len()).collect::<Vec<_>>(), [4, 2, 1]);
+        for r in &w.readouts {
+            for part in &r.parts {
+                assert_eq!((part.weights.len() % UNITS, part.scales.len()), (0, UNITS));
+            }
+            for numbers in [&r.gain, &r.threshold, &r.presence, &r.noise] {
+                assert!(numbers.len() == UNITS && numbers.iter().all(|v| v.is_finite()));
+            }
+            for numbers in [&r.prior_mean, &r.prior_deviation] {
+                assert_eq!(numbers.len(), UNITS * POSE_TERMS);
+            }
+        }
+    }
+}
