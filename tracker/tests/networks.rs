@@ -135,6 +135,39 @@ fn another_landmark_network_is_a_file_not_a_code_change() {
 }
 
 #[test]
+fn another_au_network_is_a_file_not_a_code_change() {
+    if runtime().is_none() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let (take, models) = (grey_take(dir.path(), 5), models(dir.path(), &circle(), 4.0));
+    let network = onnx::constants(&[1, 3, 48, 48], &[("out", &[1, 3], &[0.9, 0.1, 1.4])]);
+    std::fs::write(models.join("aus.onnx"), network).unwrap();
+    let text = std::fs::read_to_string(models.join("models.toml")).unwrap();
+    let with = |units: &str| {
+        let aus = format!(
+            "[aus]\nfile = \"aus.onnx\"\nwidth = 48\nheight = 48\nlayout = \"nchw\"\nscale = 0.01\nmargin = 1.2\n\
+             intensities = \"out\"\nfactor = 5.0\nunits = [{units}]\n"
+        );
+        std::fs::write(models.join("models.toml"), format!("{text}\n{aus}")).unwrap();
+    };
+    with("\"AU26\", \"AU01\", \"AU12\"");
+    let summary = track(&take, &models, 2, 2).unwrap();
+    assert_eq!(summary.au_model, "aus.onnx");
+    let path = take.join("track/openface.csv");
+    let table = openface::read(&path, &ReadOptions::default(), &Collected::default()).unwrap();
+    let value = |unit: u8| {
+        let column = table.unit_index(risorius_formats::ActionUnit(unit));
+        table.rows[3].intensities[column.unwrap()]
+    };
+    // 0–1 becomes 0–5 and is clamped; AUs that the network does not know stay unknown.
+    assert_eq!((value(26), value(1), value(12), value(4)), (Some(4.5), Some(0.5), Some(5.0), None));
+    with("\"AU26\", \"AU01\"");
+    let error = track(&take, &models, 1, 1).unwrap_err().to_string();
+    assert!(error.contains("aus.onnx") && error.contains("has 3 numbers, but `units` names 2 AUs"), "{error}");
+}
+
+#[test]
 fn frames_without_a_face_are_rows_without_success() {
     if runtime().is_none() {
         return;

@@ -8,6 +8,7 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 use glam::{DVec2, Vec3};
 use image::RgbImage;
 use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
 use risorius_brick::Brick;
 use risorius_formats::{ActionUnit, AttributeSpec, Camera, Reporter};
 
@@ -118,9 +119,10 @@ impl Avatar {
         const TILE: usize = 16;
         let (width, height) = (camera.intrinsics.width as usize, camera.intrinsics.height as usize);
         let outline = self.saved.head_hull_in_world.as_ref().map(|hull| Outline::of(hull, camera));
-        let mut wanted = Vec::with_capacity(width * height);
-        for tile in 0..width.div_ceil(TILE) * height.div_ceil(TILE) {
-            let (left, top) = (tile % width.div_ceil(TILE) * TILE, tile / width.div_ceil(TILE) * TILE);
+        let columns = width.div_ceil(TILE);
+        let in_tile = |tile: usize| {
+            let (left, top) = (tile % columns * TILE, tile / columns * TILE);
+            let mut wanted = Vec::with_capacity(TILE * TILE);
             for y in top..(top + TILE).min(height) {
                 for x in left..(left + TILE).min(width) {
                     let p = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
@@ -132,8 +134,9 @@ impl Avatar {
                     }
                 }
             }
-        }
-        wanted
+            wanted
+        };
+        (0..columns * height.div_ceil(TILE)).into_par_iter().flat_map_iter(in_tile).collect()
     }
 
     /// Renders `camera` with the attributes (−1..1, K of them), every pixel.

@@ -33,6 +33,10 @@ struct Last<'a> {
     wanted: Vec<Wanted>,
     directions: Vec<[f32; 3]>,
     picture: Picture<'a>,
+    /// What is behind everything.
+    backdrop: RgbImage,
+    /// What was handed out.
+    render: Render,
 }
 
 enum Picture<'a> {
@@ -76,23 +80,13 @@ impl<'a> Studio<'a> {
             return Ok(picture);
         }
         self.draw(camera, attributes);
-        let mut picture = Render::empty(camera, self.avatar.saved.table.regions.len());
-        if let Some((_, Some(plate))) = self.avatar.brick() {
-            plate.paint(&mut picture.rgb);
-        }
-        if let Some(last) = &self.last {
-            let shown = match &last.picture {
-                Picture::Direct { shown, .. } => shown,
-                Picture::Baked(baked) => &baked.shown,
-            };
-            paint(&last.wanted, shown, &mut picture);
-        }
-        Ok(picture)
+        let regions = self.avatar.saved.table.regions.len();
+        Ok(self.last.as_ref().map_or_else(|| Render::empty(camera, regions), |last| last.render.clone()))
     }
 
     /// Brings `last` up to date.
     fn draw(&mut self, camera: &Camera, attributes: &[f32]) {
-        let Some((model, _)) = self.avatar.brick() else { return };
+        let Some((model, plate)) = self.avatar.brick() else { return };
         let origin = camera.center().as_vec3().to_array();
         if self.look.baked {
             if let Some((face, wears)) = &mut self.baked {
@@ -107,44 +101,58 @@ impl<'a> Studio<'a> {
             }
         }
         let same_camera = self.last.as_ref().is_some_and(|l| l.camera == *camera);
-        match (&mut self.last, &mut self.baked) {
-            (Some(last), baked) if same_camera => match (&mut last.picture, baked) {
-                (Picture::Baked(picture), Some((face, _))) => {
-                    face.redraw(picture);
-                }
+        if let Some(last) = self.last.as_mut().filter(|_| same_camera) {
+            let changed = match (&mut last.picture, &mut self.baked) {
+                (Picture::Baked(picture), Some((face, _))) => face.redraw(picture),
                 (Picture::Direct { face, shown }, _) => {
                     let changed = face.edit(attributes);
-                    face.redraw(origin, &last.directions, shown, changed);
+                    face.redraw(origin, &last.directions, shown, changed)
                 }
-                (Picture::Baked(_), None) => {}
-            },
-            (last, baked) => {
-                let wanted = self.avatar.wanted(camera);
-                let directions: Vec<[f32; 3]> = wanted.iter().map(|(_, d)| d.to_array()).collect();
-                let picture = if let Some((face, _)) = baked {
-                    Picture::Baked(face.picture(origin, directions.clone()))
-                } else {
-                    let mut face = Face::new(model, attributes);
-                    face.skips = self.look.skips;
-                    let shown = face.render(origin, &directions);
-                    Picture::Direct { face, shown }
-                };
-                *last = Some(Last { camera: *camera, wanted, directions, picture });
-            }
+                (Picture::Baked(_), None) => Vec::new(),
+            };
+            last.paint(changed);
+            return;
         }
+        let wanted = self.avatar.wanted(camera);
+        let directions: Vec<[f32; 3]> = wanted.iter().map(|(_, d)| d.to_array()).collect();
+        let picture = if let Some((face, _)) = &mut self.baked {
+            Picture::Baked(face.picture(origin, directions.clone()))
+        } else {
+            let mut face = Face::new(model, attributes);
+            face.skips = self.look.skips;
+            let shown = face.render(origin, &directions);
+            Picture::Direct { face, shown }
+        };
+        let mut render = Render::empty(camera, self.avatar.saved.table.regions.len());
+        if let Some(plate) = plate {
+            plate.paint(&mut render.rgb);
+        }
+        let backdrop = render.rgb.clone();
+        let mut last = Last { camera: *camera, wanted, directions, picture, backdrop, render };
+        last.paint(0..last.wanted.len());
+        self.last = Some(last);
     }
 }
 
-/// The brick field's rays, over what the picture already shows.
-fn paint(wanted: &[Wanted], shown: &[Shown], picture: &mut Render) {
-    for ((pixel, _), shown) in wanted.iter().zip(shown) {
-        for (byte, color) in picture.rgb.as_mut()[pixel * 3..pixel * 3 + 3].iter_mut().zip(shown.color) {
-            let value = color + shown.left * f32::from(*byte) / 255.0;
-            *byte = (value.clamp(0.0, 1.0) * 255.0).round() as u8;
-        }
-        picture.depth[*pixel] = shown.depth;
-        for (mask, value) in picture.masks.iter_mut().zip(shown.masks) {
-            mask[*pixel] = value;
+impl Last<'_> {
+    /// Puts what these rays show into the picture.
+    fn paint(&mut self, rays: impl IntoIterator<Item = usize>) {
+        let Self { wanted, picture, backdrop, render, .. } = self;
+        let shown = match picture {
+            Picture::Direct { shown, .. } => &*shown,
+            Picture::Baked(baked) => &baked.shown,
+        };
+        for ray in rays {
+            let (pixel, shown) = (wanted[ray].0, &shown[ray]);
+            let behind = &backdrop.as_raw()[pixel * 3..pixel * 3 + 3];
+            for c in 0..3 {
+                let value = shown.color[c] + shown.left * f32::from(behind[c]) / 255.0;
+                render.rgb.as_mut()[pixel * 3 + c] = (value.clamp(0.0, 1.0) * 255.0).round() as u8;
+            }
+            render.depth[pixel] = shown.depth;
+            for (mask, value) in render.masks.iter_mut().zip(shown.masks) {
+                mask[pixel] = value;
+            }
         }
     }
 }

@@ -2,7 +2,8 @@
 
 use serde::Deserialize;
 
-use risorius_formats::{ErrorKind, FormatError};
+use risorius_formats::au::OPENFACE_INTENSITIES;
+use risorius_formats::{ActionUnit, ErrorKind, FormatError};
 
 /// The layout of the manifest that this program knows.
 pub const VERSION: u32 = 1;
@@ -19,6 +20,8 @@ pub struct Manifest {
     pub landmarks: LandmarkModel,
     /// Expression coefficients from points of the mesh; only with `mesh478`.
     pub blendshapes: Option<BlendshapeModel>,
+    /// AU intensities from a crop around the face, in the place of the built-in readout.
+    pub aus: Option<AuModel>,
 }
 
 /// Order of the axes of a picture in a network's input.
@@ -128,6 +131,44 @@ pub struct BlendshapeModel {
     pub sha256: Option<String>,
 }
 
+/// An AU network; its picture is an upright RGB crop around the face, value = (level − mean) × scale.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AuModel {
+    /// The ONNX file, beside the manifest.
+    pub file: String,
+    /// Its SHA-256, hexadecimal.
+    pub sha256: Option<String>,
+    /// Width of the input, pixels; crops are square.
+    pub width: u32,
+    /// Height of the input, pixels.
+    pub height: u32,
+    /// Order of the axes.
+    pub layout: Layout,
+    /// Level 0–255 that becomes 0.
+    #[serde(default)]
+    pub mean: f32,
+    /// Value per level.
+    pub scale: f32,
+    /// Side of the crop over the longer side of the box around the points.
+    #[serde(default = "margin")]
+    pub margin: f32,
+    /// Name of the output with one number per AU.
+    pub intensities: String,
+    /// The AUs in the order of the output, among those of an OpenFace table.
+    pub units: Vec<ActionUnit>,
+    /// Turns the output into intensities 0–5: 1 for networks that give these, 5 for those that give 0–1.
+    #[serde(default = "one")]
+    pub factor: f32,
+    /// From which intensity on an AU counts as present.
+    #[serde(default = "one")]
+    pub present_from: f32,
+}
+
+fn one() -> f32 {
+    1.0
+}
+
 fn half() -> f32 {
     0.5
 }
@@ -176,6 +217,9 @@ impl Manifest {
                 return fail(format!("`{name}` has to lie between 0 and 1, not at {value}"));
             }
         }
+        if let Some(aus) = &self.aus {
+            aus.check().map_err(|message| FormatError::new(ErrorKind::Inconsistent, message))?;
+        }
         if self.blendshapes.is_some() && l.kind != PointSet::Mesh478 {
             return fail("[blendshapes] needs the points of `mesh478`".to_owned());
         }
@@ -189,7 +233,33 @@ impl Manifest {
             (self.landmarks.file.as_str(), self.landmarks.sha256.as_deref()),
         ];
         files.extend(self.blendshapes.iter().map(|m| (m.file.as_str(), m.sha256.as_deref())));
+        files.extend(self.aus.iter().map(|m| (m.file.as_str(), m.sha256.as_deref())));
         files
+    }
+}
+
+impl AuModel {
+    fn check(&self) -> Result<(), String> {
+        if self.width != self.height || !(16..=2048).contains(&self.width) {
+            return Err(format!("[aus]: an input of {}×{} pixels is not possible", self.width, self.height));
+        }
+        for (name, value) in [("scale", self.scale), ("margin", self.margin), ("factor", self.factor)] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(format!("`aus.{name}` has to be above 0, not {value}"));
+            }
+        }
+        if self.units.is_empty() {
+            return Err("`aus.units` names no AU".to_owned());
+        }
+        for (i, unit) in self.units.iter().enumerate() {
+            if !OPENFACE_INTENSITIES.contains(unit) {
+                return Err(format!("`aus.units`: an OpenFace table has no intensity of {unit}"));
+            }
+            if self.units[..i].contains(unit) {
+                return Err(format!("`aus.units` names {unit} twice"));
+            }
+        }
+        Ok(())
     }
 }
 
@@ -225,5 +295,21 @@ mod tests {
             error("kind = \"blazeface\"", "kind = \"yolo\"")
         );
         assert!(error("margin = 1.5", "margins = 1.5").contains("unknown field `margins`"));
+    }
+
+    #[test]
+    fn an_au_network_says_which_aus_it_gives() {
+        let aus = |units: &str| {
+            let table = "[aus]\nfile = \"a.onnx\"\nwidth = 112\nheight = 112\nlayout = \"nchw\"\nscale = 1.0\n";
+            Manifest::parse(&format!("{DEFAULT}\n{table}intensities = \"out\"\nunits = [{units}]\n"))
+        };
+        let manifest = aus("\"AU12\", \"AU04\"").unwrap();
+        assert_eq!(manifest.files().len(), 4);
+        assert_eq!(manifest.aus.unwrap().units, [ActionUnit(12), ActionUnit(4)]);
+        for (units, words) in
+            [("", "names no AU"), ("\"AU12\", \"AU12\"", "AU12 twice"), ("\"AU28\"", "no intensity of AU28")]
+        {
+            assert!(aus(units).unwrap_err().to_string().contains(words), "{units}");
+        }
     }
 }

@@ -15,6 +15,7 @@ use super::landmarks::{Found, Landmarker};
 use crate::aus::readout::Readout;
 use crate::error::{Result, TrackerError};
 use crate::models::ModelFolder;
+use crate::models::manifest::AuModel;
 use crate::models::runtime::Runtime;
 
 /// Pictures that are worked on at once.
@@ -106,6 +107,12 @@ impl Follower {
         networks.lock().unwrap_or_else(std::sync::PoisonError::into_inner).landmarker.readout()
     }
 
+    /// The AU network of the manifest, in the place of a readout.
+    pub fn au_model(&self) -> Option<AuModel> {
+        let networks = self.networks.first()?;
+        networks.lock().unwrap_or_else(std::sync::PoisonError::into_inner).landmarker.au_model().cloned()
+    }
+
     /// What was done so far.
     pub fn effort(&self) -> Effort {
         Effort { detections: self.detections, landmark_runs: self.landmark_runs }
@@ -141,11 +148,11 @@ impl Follower {
             }
             self.remember(found[i].as_ref());
         }
-        let express = |f: &mut Option<Found>| match f {
-            Some(f) => self.with_networks(|n| n.landmarker.express(f)),
+        let express = |(f, picture): (&mut Option<Found>, &RgbImage)| match f {
+            Some(f) => self.with_networks(|n| n.landmarker.express(picture, f)),
             None => Ok(()),
         };
-        self.pool.install(|| found.par_iter_mut().try_for_each(express))?;
+        self.pool.install(|| found.par_iter_mut().zip(pictures).try_for_each(express))?;
         Ok(found)
     }
 

@@ -4,11 +4,10 @@ use image::RgbImage;
 
 use super::crop::{Crop, Sampling};
 use super::mesh::{self, MESH_POINTS, Mesh};
-use crate::aus::FEATURES;
 use crate::aus::readout::{self, Readout};
 use crate::error::{Result, TrackerError};
 use crate::models::ModelFolder;
-use crate::models::manifest::{LandmarkModel, Layout, PointSet};
+use crate::models::manifest::{AuModel, LandmarkModel, Layout, PointSet};
 use crate::models::runtime::{Network, Runtime};
 use crate::weights::Weights;
 
@@ -24,8 +23,9 @@ pub struct Found {
     pub mesh: Option<Box<Mesh>>,
     /// Feature maps inside the network: 8×8×128, and the part of 16×16×128 that sees the face.
     inner: Option<[Vec<f32>; 2]>,
-    /// Scores of the AU readout with the head's yaw and pitch, where the network gives a mesh.
-    pub features: Option<[f32; FEATURES]>,
+    /// What the AUs are made of: scores of the readout with the head's yaw and pitch, where the network gives a mesh; or
+    /// the intensities of an AU network.
+    pub features: Vec<f32>,
     /// Probability that this is a face, 0–1.
     pub presence: f32,
     /// Where to look next.
@@ -38,6 +38,7 @@ pub struct Landmarker {
     network: Network,
     blendshapes: Option<Network>,
     readout: Option<&'static Readout>,
+    aus: Option<(Network, AuModel)>,
     model: LandmarkModel,
     input: Vec<f32>,
 }
@@ -62,20 +63,35 @@ impl Landmarker {
             }
             None => None,
         };
+        let aus = match &models.manifest.aus {
+            Some(m) => {
+                let size = m.width as usize;
+                let shape = if m.layout == Layout::Nhwc { [1, size, size, 3] } else { [1, 3, size, size] };
+                let network = Network::open(runtime, &models.dir.join(&m.file), &shape, &[&m.intensities])?;
+                Some((network, m.clone()))
+            }
+            None => None,
+        };
         // Those that need more come first.
         let readouts = &Weights::get().readouts;
         let readout = match (model.kind, blendshapes.is_some(), has_inner) {
+            _ if aus.is_some() => None,
             (PointSet::Points68, ..) => None,
             (_, true, true) => readouts.first(),
             (_, true, false) => readouts.get(1),
             (_, false, _) => readouts.get(2),
         };
-        Ok(Self { network, blendshapes, readout, model, input: Vec::new() })
+        Ok(Self { network, blendshapes, readout, aus, model, input: Vec::new() })
     }
 
     /// The readout that fits these networks.
     pub fn readout(&self) -> Option<&'static Readout> {
         self.readout
+    }
+
+    /// The AU network of the manifest.
+    pub fn au_model(&self) -> Option<&AuModel> {
+        self.aus.as_ref().map(|(_, model)| model)
     }
 
     /// Side of a first crop over the side of a detector's box, and of the next crop over the points'.
@@ -156,11 +172,14 @@ impl Landmarker {
             (Some(mesh), None) => mesh::landmarks68(mesh),
             (None, None) => return Ok(None),
         };
-        Ok(Some(Found { points_px, mesh, inner, features: None, presence, crop: next }))
+        Ok(Some(Found { points_px, mesh, inner, features: Vec::new(), presence, crop: next }))
     }
 
     /// Adds the features, as far as there are networks for them.
-    pub fn express(&mut self, found: &mut Found) -> Result<()> {
+    pub fn express(&mut self, picture: &RgbImage, found: &mut Found) -> Result<()> {
+        if self.aus.is_some() {
+            return self.express_by_network(picture, found);
+        }
         let (Some(readout), Some(mesh)) = (self.readout, &found.mesh) else { return Ok(()) };
         let Some(canonical_from_picture) = mesh::alignment(mesh, Weights::get()) else { return Ok(()) };
         let aligned = readout::aligned(mesh, &canonical_from_picture);
@@ -171,10 +190,34 @@ impl Landmarker {
             inputs.extend(maps.iter().map(Vec::as_slice));
         }
         if let Some(scores) = readout.scores(&inputs).filter(|s| s.iter().all(|v| v.is_finite())) {
-            found.features = Some(readout::features(&scores, &canonical_from_picture));
+            found.features = readout::features(&scores, &canonical_from_picture).to_vec();
         }
         // They are the largest part, and done with.
         found.inner = None;
+        Ok(())
+    }
+
+    /// The intensities of the manifest's AU network.
+    fn express_by_network(&mut self, picture: &RgbImage, found: &mut Found) -> Result<()> {
+        let Some((network, model)) = &mut self.aus else { return Ok(()) };
+        // The next crop is the one around the points.
+        let crop = Crop { side: found.crop.side * model.margin / self.model.margin, ..found.crop };
+        let AuModel { width, height, layout, mean, scale, .. } = *model;
+        let sampling = Sampling { width, height, layout, mean, scale };
+        sampling.sample(picture, &crop.picture_from_crop(width), &mut self.input);
+        let values = network.run(&self.input, |outputs| outputs.first().map(|v| v.to_vec()).unwrap_or_default())?;
+        let problem = if values.len() != model.units.len() {
+            Some(format!("has {} numbers, but `units` names {} AUs", values.len(), model.units.len()))
+        } else if values.iter().any(|v| !v.is_finite()) {
+            Some("holds numbers that are not finite".to_owned())
+        } else {
+            None
+        };
+        if let Some(problem) = problem {
+            let (path, output) = (network.path().to_owned(), model.intensities.clone());
+            return Err(TrackerError::NetworkOutput { path, output, problem });
+        }
+        found.features = values.iter().map(|v| (v * model.factor).clamp(0.0, 5.0)).collect();
         Ok(())
     }
 

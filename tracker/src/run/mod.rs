@@ -80,7 +80,7 @@ pub struct RunSummary {
     pub shape_error_px: f64,
     /// Hash of the landmark network's file, where the manifest gives one.
     pub landmark_model: String,
-    /// The AU regressor.
+    /// The AU readout, or the hash (else the file) of the manifest's AU network.
     pub au_model: String,
     /// Quality of what was written.
     pub quality: TrackQuality,
@@ -129,8 +129,13 @@ pub fn run(take_dir: impl AsRef<Path>, options: &RunOptions, reporter: &dyn Repo
         let features: Vec<_> = sample.iter().filter_map(|o| o.features.as_slice().try_into().ok()).collect();
         Person::learn(readout, &features, options.calibration)
     });
-    let au_model = if person.is_some() { Weights::get().name.clone() } else { "none: no mesh".to_owned() };
-    let writer = rows::Writer { take: &take, lens, shape: &shape, person, every };
+    let network = follower.au_model();
+    let au_model = match &network {
+        Some(m) => m.sha256.clone().unwrap_or_else(|| m.file.clone()),
+        None if person.is_some() => Weights::get().name.clone(),
+        None => "none: no mesh".to_owned(),
+    };
+    let writer = rows::Writer { take: &take, lens, shape: &shape, person, au_model: network, every };
     let written = writer.write(&recording, folder.path(), reporter)?;
     let tracked = recording.len();
     recording.remove()?;
@@ -172,7 +177,8 @@ fn first_pass(
 ) -> Result<Recording> {
     let media = take.media_path();
     let last = (take.frames.len() as u32).saturating_sub(1);
-    let mut recorder = Recorder::create(path, FEATURES)?;
+    let features = follower.au_model().map_or(FEATURES, |m| m.units.len());
+    let mut recorder = Recorder::create(path, features)?;
     let mut seen = 0;
     std::thread::scope(|scope| -> Result<()> {
         let (blocks, decoder) = decode(scope, &media, every, last)?;
@@ -181,11 +187,8 @@ fn first_pass(
                 return Err(TrackerError::Cancelled { doing: "tracking".to_owned() });
             }
             for found in follower.block(&pictures)? {
-                let observation = found.map(|f| Observation {
-                    points_px: f.points_px,
-                    presence: f.presence,
-                    features: f.features.map(Vec::from).unwrap_or_default(),
-                });
+                let observation =
+                    found.map(|f| Observation { points_px: f.points_px, presence: f.presence, features: f.features });
                 recorder.push(observation.as_ref())?;
             }
             seen += frames.len();

@@ -16,6 +16,7 @@ use crate::aus::Person;
 use crate::error::{Result, TrackerError};
 use crate::head_pose::Lens;
 use crate::head_pose::shape::{self, PersonShape};
+use crate::models::manifest::AuModel;
 use crate::parquet;
 use crate::quality::{QualityMeter, TrackQuality};
 
@@ -29,6 +30,8 @@ pub struct Writer<'a> {
     pub shape: &'a PersonShape,
     /// The person's resting scores, where there are scores.
     pub person: Option<Person>,
+    /// The AU network whose intensities were seen, in their place.
+    pub au_model: Option<AuModel>,
     /// Every how many frames the networks ran.
     pub every: u32,
 }
@@ -102,6 +105,14 @@ impl Writer<'_> {
         if let Some(units) = self.person.as_mut().and_then(|p| p.units(&seen.features)) {
             row.intensities = units.intensities.iter().map(|v| Some(*v)).collect();
             row.presences = units.presences.iter().map(|v| Some(*v)).collect();
+        }
+        if let Some(model) = self.au_model.as_ref().filter(|m| m.units.len() == seen.features.len()) {
+            for (slot, unit) in OPENFACE_INTENSITIES.iter().enumerate() {
+                if let Some(i) = model.units.iter().position(|u| u == unit) {
+                    row.intensities[slot] = Some(seen.features[i]);
+                    row.presences[slot] = Some(seen.features[i] >= model.present_from);
+                }
+            }
         }
         let normalised: Vec<DVec2> = seen.points_px.iter().map(|p| self.lens.normalised(*p)).collect();
         // Warm from the frame before, and cold where that led nowhere.

@@ -95,8 +95,10 @@ pub struct March {
     pub direction: [f32; 3],
     /// 1 / direction; 0 along axes that the ray does not move along.
     inverse: [f32; 3],
-    /// Where the next sample lies.
-    pub t: f32,
+    /// Where the first sample lies.
+    first: f32,
+    /// The next sample's number: places are the same however a march came to them.
+    index: f32,
     /// Where it leaves the box.
     pub exit: f32,
     /// Distance of samples in `t`.
@@ -105,23 +107,29 @@ pub struct March {
 
 impl March {
     /// A ray whose first sample lies at `t`.
-    pub fn new(origin: [f32; 3], direction: [f32; 3], t: f32, exit: f32, step: f32) -> Self {
+    pub fn new(origin: [f32; 3], direction: [f32; 3], first: f32, exit: f32, step: f32) -> Self {
         let inverse = direction.map(|d| if d.abs() > 1e-12 { 1.0 / d } else { 0.0 });
-        Self { origin, direction, inverse, t, exit, step }
+        Self { origin, direction, inverse, first, index: 0.0, exit, step }
+    }
+
+    /// Where the next sample lies.
+    #[inline(always)]
+    pub fn t(&self) -> f32 {
+        self.first + self.index * self.step
     }
 
     #[inline(always)]
-    fn point(&self) -> [f32; 3] {
-        std::array::from_fn(|a| self.origin[a] + self.t * self.direction[a])
+    fn point(&self, t: f32) -> [f32; 3] {
+        std::array::from_fn(|a| self.origin[a] + t * self.direction[a])
     }
 
     /// The next sample and its `t`, whatever is there.
     #[inline(always)]
     pub fn next_anywhere(&mut self) -> Option<([f32; 3], f32)> {
-        (self.t < self.exit).then(|| {
-            let found = (self.point(), self.t);
-            self.t += self.step;
-            found
+        let t = self.t();
+        (t < self.exit).then(|| {
+            self.index += 1.0;
+            (self.point(t), t)
         })
     }
 }
@@ -154,14 +162,17 @@ impl Occupancy {
     #[inline(always)]
     pub fn next(&self, march: &mut March) -> Option<([f32; 3], f32)> {
         const EDGE: f32 = 2.0 / PARTS as f32;
-        while march.t < march.exit {
-            let p = march.point();
+        loop {
+            let t = march.t();
+            if t >= march.exit {
+                return None;
+            }
+            let p = march.point(t);
             let position = part_position(p);
             let (cell, bit) = cell_and_bit(position);
             let bits = self.bits[cell];
             if bits >> bit & 1 == 1 {
-                let t = march.t;
-                march.t += march.step;
+                march.index += 1.0;
                 return Some((p, t));
             }
             // Parts along the edge of the empty cube around the point.
@@ -179,10 +190,10 @@ impl Occupancy {
                     leave = leave.min((wall - march.origin[a]) * march.inverse[a]);
                 }
             }
-            // Whole steps, so that samples stay where they would be without the skip.
-            march.t += ((leave - march.t) / march.step).ceil().clamp(1.0, 1e6) * march.step;
+            // Whole steps, so that samples stay where they would be without the skip; a hair less than to the wall, for
+            // a sample on it may belong to what is behind.
+            march.index += ((leave - t) / march.step - 1e-3).ceil().clamp(1.0, 1e6);
         }
-        None
     }
 
     /// Marks the neighbours of every marked cell; whole cells.

@@ -235,7 +235,7 @@ impl Rays {
         marches.clear();
         for (ray, &direction) in (0u32..).zip(directions) {
             let march = model.head_march(origin, direction, motion, look.divisions, jitter());
-            if march.t < march.exit {
+            if march.t() < march.exit {
                 head.alive.push(ray);
             }
             marches.push(march);

@@ -103,16 +103,16 @@ impl<'a> Face<'a> {
         out
     }
 
-    /// Brings a picture up to date after [`Self::edit`] named the regions that `changed`; gives the number of rays that
-    /// had to be sent. All others would show the same to the bit.
-    pub fn redraw(&self, origin: [f32; 3], directions: &[[f32; 3]], picture: &mut [Shown], changed: u8) -> usize {
+    /// Brings a picture up to date after [`Self::edit`] named the regions that `changed`; gives the rays that had to be
+    /// sent. All others would show the same to the bit.
+    pub fn redraw(&self, origin: [f32; 3], directions: &[[f32; 3]], picture: &mut [Shown], changed: u8) -> Vec<usize> {
         let stale: Vec<usize> =
             (0..picture.len()).filter(|&i| picture[i].touched & changed != 0 || !self.skips.unchanged).collect();
         let wanted: Vec<[f32; 3]> = stale.iter().map(|&i| directions[i]).collect();
         for (&i, shown) in stale.iter().zip(self.render(origin, &wanted)) {
             picture[i] = shown;
         }
-        stale.len()
+        stale
     }
 
     fn deformation(&self) -> Deformation<'_> {
@@ -223,28 +223,21 @@ impl<'a> BakedFace<'a> {
         BakedPicture { origin, directions, shown, crossed }
     }
 
-    /// Brings a picture up to date after edits; gives the number of rays that had to be sent.
-    pub fn redraw(&mut self, picture: &mut BakedPicture) -> usize {
+    /// Brings a picture up to date after edits; gives the rays that had to be sent.
+    pub fn redraw(&mut self, picture: &mut BakedPicture) -> Vec<usize> {
         if !self.stale.contains(&true) {
-            return 0;
+            return Vec::new();
         }
         let BakedPicture { origin, directions, shown, crossed } = picture;
+        let stale: Vec<usize> = (0..crossed.len()).filter(|&i| crossed[i].any(&self.stale)).collect();
         let this = &*self;
-        let sent = directions
-            .par_iter()
-            .zip(shown)
-            .zip(crossed)
-            .with_min_len(CHUNK)
-            .map(|((&direction, shown), crossed)| {
-                let stale = crossed.any(&this.stale);
-                if stale {
-                    (*shown, *crossed) = this.send(*origin, direction);
-                }
-                usize::from(stale)
-            })
-            .sum();
+        let sent: Vec<(Shown, Crossed)> =
+            stale.par_iter().with_min_len(CHUNK).map(|&i| this.send(*origin, directions[i])).collect();
+        for (&i, new) in stale.iter().zip(sent) {
+            (shown[i], crossed[i]) = new;
+        }
         self.stale.fill(false);
-        sent
+        stale
     }
 
     fn send(&self, origin: [f32; 3], direction: [f32; 3]) -> (Shown, Crossed) {

@@ -71,9 +71,9 @@ impl Table {
     pub fn grow(&mut self, blocks: usize) {
         if blocks > self.steps.len() {
             let n = blocks * self.block;
-            self.values.resize(n, 0.0);
-            self.first.resize(n, 0.0);
-            self.second.resize(n, 0.0);
+            for values in [&mut self.values, &mut self.first, &mut self.second] {
+                lengthen(values, n);
+            }
             self.steps.resize(blocks, 0);
         }
     }
@@ -112,6 +112,14 @@ impl Table {
             });
         }
     }
+}
+
+/// Zeros up to `n` numbers. Tables grow brick by brick to hundreds of megabytes: doubling would waste as much again.
+fn lengthen(values: &mut Vec<f32>, n: usize) {
+    if values.capacity() < n {
+        values.reserve_exact(n + n / 8 - values.len());
+    }
+    values.resize(n, 0.0);
 }
 
 #[derive(Clone, Copy)]
@@ -160,7 +168,7 @@ impl TableGrad {
     /// Makes room for `table`.
     pub fn fit(&mut self, table: &Table) {
         if self.values.len() < table.values.len() {
-            self.values.resize(table.values.len(), 0.0);
+            lengthen(&mut self.values, table.values.len());
             self.touched.resize(table.blocks(), false);
         }
     }

@@ -1,8 +1,12 @@
 //! Whole fits of tiny scenes: they learn, repeat themselves to the bit, and stay finite whatever they are given.
 
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+
 use super::*;
 use crate::model::{BackgroundFrame, HeadBox, Layout};
 use crate::render::Face;
+use crate::skips::Skips;
 
 /// A ball whose colour follows one AU in front of a wall, seen by cameras on an arc.
 struct Ball {
