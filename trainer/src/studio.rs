@@ -145,9 +145,10 @@ impl Last<'_> {
         for ray in rays {
             let (pixel, shown) = (wanted[ray].0, &shown[ray]);
             let behind = &backdrop.as_raw()[pixel * 3..pixel * 3 + 3];
-            for c in 0..3 {
-                let value = shown.color[c] + shown.left * f32::from(behind[c]) / 255.0;
-                render.rgb.as_mut()[pixel * 3 + c] = (value.clamp(0.0, 1.0) * 255.0).round() as u8;
+            let bytes = render.rgb.as_mut()[pixel * 3..pixel * 3 + 3].iter_mut();
+            for ((byte, color), behind) in bytes.zip(shown.color).zip(behind) {
+                let value = color + shown.left * f32::from(*behind) / 255.0;
+                *byte = (value.clamp(0.0, 1.0) * 255.0).round() as u8;
             }
             render.depth[pixel] = shown.depth;
             for (mask, value) in render.masks.iter_mut().zip(shown.masks) {

@@ -254,7 +254,7 @@ pub struct Read {
     pub more: Vec<Vec<f32>>,
 }
 
-/// Reads what [`write`] wrote.
+/// Reads what [`write()`] wrote.
 pub fn read(path: &Path, saved: &SavedBrick, content: Content, more: &[&str]) -> Result<Read> {
     let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, "read", &e))?;
     let tensors = SafeTensors::deserialize(&bytes).map_err(|e| damaged(path, &e))?;
