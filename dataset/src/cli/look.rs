@@ -208,12 +208,13 @@ pub(super) fn verify(args: &VerifyArgs, console: &Console) -> Result<(), Failure
     }
     if verdict.problems.is_empty() {
         let scales: Vec<String> = verdict.scales.iter().map(|s| format!("{s}x")).collect();
+        // Other programs' layouts have one size and no name for it.
+        let at = if scales.is_empty() { String::new() } else { format!(" at {}", scales.join(", ")) };
         let _ = write!(
             text,
-            "{}: {} frames at {}, {} pictures opened: no problems",
+            "{}: {} frames{at}, {} pictures opened: no problems",
             args.dataset.display(),
             verdict.frames,
-            scales.join(", "),
             verdict.pictures
         );
         console.finish(&verdict, &text);

@@ -15,7 +15,7 @@ use crate::model::{ConfiesModel, region_groups};
 /// Options of `trainer fit`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  trainer fit datasets/ada --out runs/ada\n  trainer fit datasets/ada --out runs/ada --budget 10m\n  trainer fit datasets/ada --out runs/ada --resume\n  trainer fit datasets/ada --out runs/paper --preset paper --dry-run --json"
+    after_help = "Examples:\n  trainer fit datasets/ada --out runs/ada\n  trainer fit datasets/ada --out runs/ada --budget 10m\n  trainer fit datasets/ada --out runs/ada --resume\n  trainer fit datasets/ada --out runs/paper --field confies --preset paper --dry-run --json"
 )]
 pub(super) struct FitArgs {
     /// The dataset's folder
