@@ -51,12 +51,8 @@ impl<'a> Studio<'a> {
     }
 
     /// The picture of `camera`, rendered no finer than the images that were fitted and enlarged to the asked size (the
-    /// field holds no detail beyond them, and every skipped pixel is time saved), unless the look is `full`.
-    pub fn picture(&mut self, camera: &Camera, attributes: &[f32], reporter: &dyn Reporter) -> Result<RgbImage> {
-        Ok(self.picture_and_maps(camera, attributes, reporter)?.0)
-    }
-
-    /// As [`Self::picture`], with the render behind it, which may be smaller.
+    /// field holds no detail beyond them, and every skipped pixel is time saved), unless the look is `full`; with the render
+    /// behind it, which may be smaller.
     pub fn picture_and_maps(
         &mut self,
         camera: &Camera,

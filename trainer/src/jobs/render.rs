@@ -94,11 +94,11 @@ pub fn render(
         if reporter.cancelled() {
             return Err(TrainerError::Interrupted { done: format!("{i} of {} pictures", shots.len()) });
         }
-        let picture = adorn(i, studio.picture(&shot.camera, &shot.attributes, reporter)?)?;
+        let (picture, maps) = studio.picture_and_maps(&shot.camera, &shot.attributes, reporter)?;
+        let picture = adorn(i, picture)?;
         if let Some(folder) = &sink.folder {
             write_png(&folder.join(format!("{}.png", shot.id)), &picture)?;
             if sink.maps {
-                let (_, maps) = studio.picture_and_maps(&shot.camera, &shot.attributes, reporter)?;
                 write_maps(folder, &shot.id, &maps)?;
             }
         }

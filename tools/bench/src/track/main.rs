@@ -9,8 +9,7 @@ mod plot;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Stdio};
-use std::time::Instant;
+use std::process::ExitCode;
 
 use clap::Parser;
 use glam::DMat3;
@@ -18,7 +17,6 @@ use risorius_console::{Common, CommonArgs, Console, Failure};
 use risorius_formats::openface::{self, ReadOptions};
 use risorius_formats::{ErrorKind, FormatError, Silent, atomic};
 use serde::Serialize;
-use wait4::Wait4 as _;
 
 use metrics::{Errors, Truth};
 
@@ -165,25 +163,9 @@ fn read_truth(path: &Path) -> Result<Truth, Failure> {
 
 /// Runs a program beside this one; gives its wall seconds, CPU seconds and peak MiB.
 fn child<S: AsRef<str>>(program: &str, args: &[S], cli: &Cli) -> Result<(f64, f64, f64), Failure> {
-    let here = std::env::current_exe().map_err(|e| FormatError::io("/proc/self/exe", "find", &e))?;
-    let started = Instant::now();
-    let path = cli.work.join("last.json");
-    let file = std::fs::File::create(&path).map_err(|e| FormatError::io(&path, "create", &e))?;
-    let mut child = Command::new(here.with_file_name(program))
-        .args(args.iter().map(AsRef::as_ref))
-        .args(["--json", "-q"])
-        .stdout(Stdio::from(file))
-        .spawn()
-        .map_err(|e| {
-            FormatError::io(program, "start", &e).with_hint("build everything with `cargo build --release --workspace`")
-        })?;
-    let used = child.wait4().map_err(|e| FormatError::io(program, "wait for", &e))?;
-    if !used.status.success() {
-        let text = std::fs::read_to_string(&path).unwrap_or_default();
-        return Err(Failure::input(format!("`{program} …` failed")).with_hint(text.trim().to_owned()));
-    }
-    let cpu = used.rusage.utime.as_secs_f64() + used.rusage.stime.as_secs_f64();
-    Ok((started.elapsed().as_secs_f64(), cpu, used.rusage.maxrss as f64 / (1024.0 * 1024.0)))
+    let args: Vec<&str> = args.iter().map(AsRef::as_ref).collect();
+    let run = risorius_bench::child::run(program, &args, &cli.work)?;
+    Ok((run.wall_secs, run.cpu_secs, run.peak_mib))
 }
 
 fn csv(rows: &[Row]) -> String {
