@@ -12,6 +12,11 @@ use serde::{Deserialize, Serialize};
 use crate::lattice::{BRICK, Lattice};
 use crate::table::{Table, TableGrad};
 
+/// Vertices of a level that are updated together: a layer of a brick. Whole bricks would move eight times as many numbers,
+/// most of them with a gradient of 0.
+pub const LAYER_VERTICES: usize = 64;
+/// Blocks of a level's table per brick.
+pub const LAYERS: usize = BRICK / LAYER_VERTICES;
 /// Most levels a field can have.
 pub const LEVELS: usize = 6;
 /// Features per vertex.
@@ -73,7 +78,7 @@ impl Field {
             .map(|level| {
                 let empty = if level.sparse { BRICK * FEATURES } else { 0 };
                 let mut at = 0;
-                Table::new(level.slots, BRICK * FEATURES, || {
+                Table::new(level.slots * LAYERS, LAYER_VERTICES * FEATURES, || {
                     at += 1;
                     if at <= empty { 0.0 } else { (rng.random::<f32>() - 0.5) * 2e-2 }
                 })
@@ -95,7 +100,7 @@ impl Field {
         if self.levels[level].allocate(brick) {
             let table = &mut self.features[level];
             let from = table.values.len();
-            table.grow(self.levels[level].slots);
+            table.grow(self.levels[level].slots * LAYERS);
             for v in &mut table.values[from..] {
                 *v = (rng.random::<f32>() - 0.5) * 2e-3;
             }

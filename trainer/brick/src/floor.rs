@@ -12,6 +12,7 @@ use crate::field::{COLOR_INPUT, HIDDEN, INPUT, LEVELS, MIDDLE, OUTPUT};
 use crate::lattice::{self, BRICK, Lattice};
 use crate::matmul;
 use crate::simd::{self, Simd, Task};
+use crate::sixteen::{Each, POINTS, Sixteen};
 
 /// Multiply-adds of a sample's networks, forward.
 pub const MACS: usize = INPUT * HIDDEN + HIDDEN * MIDDLE + COLOR_INPUT * HIDDEN + HIDDEN * OUTPUT;
@@ -102,14 +103,18 @@ impl Task for LookUps {
         let points: Vec<[f32; 3]> =
             (0..1024).map(|_| std::array::from_fn(|_| rng.random::<f32>() * 2.0 - 1.0)).collect();
         let mut sum = [0.0f32; 4];
+        let mut corners = Sixteen::default();
         let (started, mut rounds) = (Instant::now(), 0u64);
         while started.elapsed() < self.seconds {
-            for p in &points {
-                let corners = lattice.corners(*p);
-                // SAFETY: the table has a row for every slot of the lattice.
-                unsafe {
-                    let v = lattice::gather::<S>(&values, 4, 0, &corners, &corners.weights());
-                    S::q_store(sum.as_mut_ptr(), S::q_fma(v, S::q_splat(0.5), S::q_load(sum.as_ptr())));
+            for sixteen in points.chunks_exact(POINTS) {
+                let split: [Each<f32>; 3] = std::array::from_fn(|a| std::array::from_fn(|s| sixteen[s][a]));
+                lattice.sixteen::<S>(&split, &mut corners);
+                for s in 0..POINTS {
+                    // SAFETY: the table has a row for every slot of the lattice.
+                    unsafe {
+                        let v = lattice::gather::<S>(&values, 4, 0, &corners.corners(s), &corners.weights(s));
+                        S::q_store(sum.as_mut_ptr(), S::q_fma(v, S::q_splat(0.5), S::q_load(sum.as_ptr())));
+                    }
                 }
             }
             rounds += points.len() as u64;

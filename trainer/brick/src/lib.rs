@@ -31,6 +31,7 @@ mod rays;
 pub mod reference;
 pub mod render;
 pub mod simd;
+mod sixteen;
 pub mod skips;
 pub mod table;
 

@@ -12,9 +12,6 @@ pub const COUNT: usize = CELLS * CELLS * CELLS;
 pub const PARTS: usize = 2 * CELLS;
 /// Parts in all, eight in a row per cell.
 pub const PART_COUNT: usize = 8 * COUNT;
-/// Cells along the edge of a block that is skipped in one stride.
-const BLOCK: usize = 8;
-const BLOCKS: usize = CELLS / BLOCK;
 /// A cell of which every part is looked into.
 pub const WHOLE: u8 = 0xff;
 
@@ -27,18 +24,14 @@ pub struct Occupancy {
     pub weight: Vec<f32>,
     /// Which parts of each cell are looked into, a bit each.
     pub bits: Vec<u8>,
-    /// Whether any cell of a block is.
-    blocks: Vec<bool>,
+    /// How many cells away the nearest cell is that is looked into, along the axis that is farthest (Chebyshev's distance):
+    /// a ray passes what lies between in one stride.
+    far: Vec<u8>,
 }
 
 impl Default for Occupancy {
     fn default() -> Self {
-        Self {
-            density: vec![0.0; COUNT],
-            weight: vec![1.0; PART_COUNT],
-            bits: vec![WHOLE; COUNT],
-            blocks: vec![true; BLOCKS.pow(3)],
-        }
+        Self { density: vec![0.0; COUNT], weight: vec![1.0; PART_COUNT], bits: vec![WHOLE; COUNT], far: vec![0; COUNT] }
     }
 }
 
@@ -103,13 +96,15 @@ pub struct March {
     pub exit: f32,
     /// Distance of samples in `t`.
     pub step: f32,
+    /// 1 / step
+    per_step: f32,
 }
 
 impl March {
     /// A ray whose first sample lies at `t`.
     pub fn new(origin: [f32; 3], direction: [f32; 3], first: f32, exit: f32, step: f32) -> Self {
         let inverse = direction.map(|d| if d.abs() > 1e-12 { 1.0 / d } else { 0.0 });
-        Self { origin, direction, inverse, first, index: 0.0, exit, step }
+        Self { origin, direction, inverse, first, index: 0.0, exit, step, per_step: 1.0 / step }
     }
 
     /// Where the next sample lies.
@@ -134,15 +129,46 @@ impl March {
     }
 }
 
+/// Every cell that is marked or beside a marked one, across corners too; a word per row along x.
+fn grow(rows: &[u64]) -> Vec<u64> {
+    let along_x: Vec<u64> = rows.iter().map(|r| r | r << 1 | r >> 1).collect();
+    let beside = |from: &[u64], row: usize, stride: usize, position: usize| {
+        let before = if position > 0 { from[row - stride] } else { 0 };
+        let after = if position + 1 < CELLS { from[row + stride] } else { 0 };
+        from[row] | before | after
+    };
+    let along_y: Vec<u64> = (0..rows.len()).map(|row| beside(&along_x, row, 1, row % CELLS)).collect();
+    (0..rows.len()).map(|row| beside(&along_y, row, CELLS, row / CELLS)).collect()
+}
+
 impl Occupancy {
-    /// Rebuilds the blocks after `bits` changed.
+    /// Measures the distances anew after `bits` changed.
     pub fn refresh(&mut self) {
-        self.blocks.fill(false);
-        for (cell, &bits) in self.bits.iter().enumerate() {
-            if bits != 0 {
-                let [x, y, z] = cell_position(cell);
-                self.blocks[(z / BLOCK * BLOCKS + y / BLOCK) * BLOCKS + x / BLOCK] = true;
+        // A row of 64 cells along x is a word; each round grows what is occupied by a cell on all sides.
+        let mut rows: Vec<u64> = self
+            .bits
+            .as_chunks::<CELLS>()
+            .0
+            .iter()
+            .map(|row| row.iter().enumerate().fold(0, |word, (x, &bits)| word | u64::from(bits != 0) << x))
+            .collect();
+        self.far.fill(u8::MAX);
+        self.far.iter_mut().zip(&self.bits).filter(|(_, bits)| **bits != 0).for_each(|(far, _)| *far = 0);
+        for distance in 1..CELLS as u8 {
+            let grown = grow(&rows);
+            let mut any = false;
+            for (row, (&before, &after)) in rows.iter().zip(&grown).enumerate() {
+                let mut fresh = after & !before;
+                any |= fresh != 0;
+                while fresh != 0 {
+                    self.far[row * CELLS + fresh.trailing_zeros() as usize] = distance;
+                    fresh &= fresh - 1;
+                }
             }
+            if !any {
+                return;
+            }
+            rows = grown;
         }
     }
 
@@ -175,24 +201,23 @@ impl Occupancy {
                 march.index += 1.0;
                 return Some((p, t));
             }
-            // Parts along the edge of the empty cube around the point.
-            let size = if bits != 0 {
-                1
+            // The empty cube around the point, in parts: the part, or the cells on all sides short of the nearest occupied.
+            let [low, high] = if bits != 0 {
+                [position.map(|v| v as f32), position.map(|v| (v + 1) as f32)]
             } else {
-                let [x, y, z] = position.map(|v| v / (2 * BLOCK));
-                if self.blocks[(z * BLOCKS + y) * BLOCKS + x] { 2 } else { 2 * BLOCK }
+                let reach = 2.0 * f32::from(self.far[cell]);
+                let first = position.map(|v| (v & !1) as f32);
+                [first.map(|v| v + 2.0 - reach), first.map(|v| v + reach)]
             };
             let mut leave = f32::MAX;
             for a in 0..3 {
-                if march.inverse[a] != 0.0 {
-                    let low = (position[a] & !(size - 1)) as f32 * EDGE - 1.0;
-                    let wall = if march.inverse[a] > 0.0 { low + size as f32 * EDGE } else { low };
-                    leave = leave.min((wall - march.origin[a]) * march.inverse[a]);
-                }
+                let wall = if march.inverse[a] > 0.0 { high[a] } else { low[a] };
+                let at = ((wall * EDGE - 1.0) - march.origin[a]) * march.inverse[a];
+                leave = leave.min(if march.inverse[a] == 0.0 { f32::MAX } else { at });
             }
             // Whole steps, so that samples stay where they would be without the skip; a hair less than to the wall, for
             // a sample on it may belong to what is behind.
-            march.index += ((leave - t) / march.step - 1e-3).ceil().clamp(1.0, 1e6);
+            march.index += ((leave - t) * march.per_step - 1e-3).ceil().clamp(1.0, 1e6);
         }
     }
 

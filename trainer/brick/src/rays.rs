@@ -345,20 +345,31 @@ impl Task for Through<'_> {
         while !pass.alive.is_empty() {
             let from = pass.samples.len();
             let Pass { samples, along, alive, .. } = &mut *pass;
-            alive.retain(|&ray| {
+            // A plain loop: a closure would be compiled for the plainest instructions.
+            let mut kept = 0;
+            for i in 0..alive.len() {
+                let ray = alive[i];
                 if left[ray as usize] < look.opaque {
-                    return false;
+                    continue;
                 }
                 let march = &mut marches[ray as usize];
+                let mut goes_on = true;
                 for _ in 0..look.wave {
                     let found = if look.everywhere { march.next_anywhere() } else { occupancy.next(march) };
-                    let Some((p, t)) = found else { return false };
+                    let Some((p, t)) = found else {
+                        goes_on = false;
+                        break;
+                    };
                     samples.point.push(p);
                     samples.ray.push(ray);
                     along.push(t);
                 }
-                true
-            });
+                if goes_on {
+                    alive[kept] = ray;
+                    kept += 1;
+                }
+            }
+            alive.truncate(kept);
             pass.samples.forward(&part.field, deformation, from);
             if look.everywhere {
                 pass.silence(from, occupancy);

@@ -8,12 +8,17 @@
     reason = "all operations: the instruction set must be present, pointers must be valid"
 )]
 
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
 use std::sync::OnceLock;
 
 /// The operations that the kernels are made of.
 pub trait Simd: Copy + 'static {
     /// 16 numbers.
     type V: Copy;
+    /// 16 whole numbers of 32 bits.
+    type I: Copy;
     /// 4 numbers.
     type Q: Copy;
     /// Rows and vectors that a block of a matrix product keeps in registers.
@@ -33,6 +38,36 @@ pub trait Simd: Copy + 'static {
     unsafe fn relu(a: Self::V) -> Self::V;
     /// `a` where `gate` > 0, else 0.
     unsafe fn where_positive(gate: Self::V, a: Self::V) -> Self::V;
+
+    /// a − b
+    unsafe fn sub(a: Self::V, b: Self::V) -> Self::V;
+    /// a · b
+    unsafe fn mul(a: Self::V, b: Self::V) -> Self::V;
+    /// The larger of both; `b` where `a` is no number.
+    unsafe fn max(a: Self::V, b: Self::V) -> Self::V;
+    /// The smaller of both; `b` where `a` is no number.
+    unsafe fn min(a: Self::V, b: Self::V) -> Self::V;
+
+    /// 16 times `x`.
+    unsafe fn i_splat(x: i32) -> Self::I;
+    /// The whole parts of numbers that fit.
+    unsafe fn i_from(v: Self::V) -> Self::I;
+    /// Whole numbers as numbers.
+    unsafe fn i_to(v: Self::I) -> Self::V;
+    /// 16 whole numbers to `p`.
+    unsafe fn i_store(p: *mut u32, v: Self::I);
+    /// a + b
+    unsafe fn i_add(a: Self::I, b: Self::I) -> Self::I;
+    /// The low 32 bits of a · b.
+    unsafe fn i_mul(a: Self::I, b: Self::I) -> Self::I;
+    /// a & b
+    unsafe fn i_and(a: Self::I, b: Self::I) -> Self::I;
+    /// a / 8 of numbers that are not negative.
+    unsafe fn i_eighth(a: Self::I) -> Self::I;
+    /// The larger of both.
+    unsafe fn i_max(a: Self::I, b: Self::I) -> Self::I;
+    /// `p[i]`
+    unsafe fn i_gather(p: *const u32, i: Self::I) -> Self::I;
 
     /// 4 times `x`.
     unsafe fn q_splat(x: f32) -> Self::Q;
@@ -135,6 +170,7 @@ pub struct Scalar;
 
 impl Simd for Scalar {
     type V = [f32; 16];
+    type I = [i32; 16];
     type Q = [f32; 4];
     const ROWS: usize = 2;
 
@@ -167,6 +203,62 @@ impl Simd for Scalar {
         std::array::from_fn(|i| if gate[i] > 0.0 { a[i] } else { 0.0 })
     }
     #[inline(always)]
+    unsafe fn sub(a: [f32; 16], b: [f32; 16]) -> [f32; 16] {
+        std::array::from_fn(|i| a[i] - b[i])
+    }
+    #[inline(always)]
+    unsafe fn mul(a: [f32; 16], b: [f32; 16]) -> [f32; 16] {
+        std::array::from_fn(|i| a[i] * b[i])
+    }
+    #[inline(always)]
+    unsafe fn max(a: [f32; 16], b: [f32; 16]) -> [f32; 16] {
+        std::array::from_fn(|i| if a[i] > b[i] { a[i] } else { b[i] })
+    }
+    #[inline(always)]
+    unsafe fn min(a: [f32; 16], b: [f32; 16]) -> [f32; 16] {
+        std::array::from_fn(|i| if a[i] < b[i] { a[i] } else { b[i] })
+    }
+    #[inline(always)]
+    unsafe fn i_splat(x: i32) -> [i32; 16] {
+        [x; 16]
+    }
+    #[inline(always)]
+    unsafe fn i_from(v: [f32; 16]) -> [i32; 16] {
+        v.map(|x| x as i32)
+    }
+    #[inline(always)]
+    unsafe fn i_to(v: [i32; 16]) -> [f32; 16] {
+        v.map(|x| x as f32)
+    }
+    #[inline(always)]
+    unsafe fn i_store(p: *mut u32, v: [i32; 16]) {
+        unsafe { p.cast::<[i32; 16]>().write_unaligned(v) }
+    }
+    #[inline(always)]
+    unsafe fn i_add(a: [i32; 16], b: [i32; 16]) -> [i32; 16] {
+        std::array::from_fn(|i| a[i].wrapping_add(b[i]))
+    }
+    #[inline(always)]
+    unsafe fn i_mul(a: [i32; 16], b: [i32; 16]) -> [i32; 16] {
+        std::array::from_fn(|i| a[i].wrapping_mul(b[i]))
+    }
+    #[inline(always)]
+    unsafe fn i_and(a: [i32; 16], b: [i32; 16]) -> [i32; 16] {
+        std::array::from_fn(|i| a[i] & b[i])
+    }
+    #[inline(always)]
+    unsafe fn i_eighth(a: [i32; 16]) -> [i32; 16] {
+        a.map(|x| x >> 3)
+    }
+    #[inline(always)]
+    unsafe fn i_max(a: [i32; 16], b: [i32; 16]) -> [i32; 16] {
+        std::array::from_fn(|i| a[i].max(b[i]))
+    }
+    #[inline(always)]
+    unsafe fn i_gather(p: *const u32, i: [i32; 16]) -> [i32; 16] {
+        i.map(|i| unsafe { *p.add(i as usize) } as i32)
+    }
+    #[inline(always)]
     unsafe fn q_splat(x: f32) -> [f32; 4] {
         [x; 4]
     }
@@ -185,125 +277,5 @@ impl Simd for Scalar {
     #[inline(always)]
     unsafe fn q_dot(a: [f32; 4], b: [f32; 4]) -> f32 {
         (a[0] * b[0] + a[2] * b[2]) + (a[1] * b[1] + a[3] * b[3])
-    }
-}
-
-#[cfg(target_arch = "x86_64")]
-mod x86 {
-    #[allow(clippy::wildcard_imports, reason = "thirty intrinsics, each named after what it does")]
-    use std::arch::x86_64::*;
-
-    use super::Simd;
-
-    macro_rules! quads {
-        () => {
-            type Q = __m128;
-            #[inline(always)]
-            unsafe fn q_splat(x: f32) -> __m128 {
-                unsafe { _mm_set1_ps(x) }
-            }
-            #[inline(always)]
-            unsafe fn q_load(p: *const f32) -> __m128 {
-                unsafe { _mm_loadu_ps(p) }
-            }
-            #[inline(always)]
-            unsafe fn q_store(p: *mut f32, v: __m128) {
-                unsafe { _mm_storeu_ps(p, v) }
-            }
-            #[inline(always)]
-            unsafe fn q_fma(a: __m128, b: __m128, c: __m128) -> __m128 {
-                unsafe { _mm_fmadd_ps(a, b, c) }
-            }
-            #[inline(always)]
-            unsafe fn q_dot(a: __m128, b: __m128) -> f32 {
-                unsafe {
-                    let p = _mm_mul_ps(a, b);
-                    let p = _mm_add_ps(p, _mm_movehl_ps(p, p));
-                    _mm_cvtss_f32(_mm_add_ss(p, _mm_shuffle_ps::<1>(p, p)))
-                }
-            }
-        };
-    }
-
-    #[derive(Clone, Copy, Debug)]
-    pub(super) struct Avx512;
-
-    impl Simd for Avx512 {
-        type V = __m512;
-        const ROWS: usize = 8;
-        quads!();
-
-        #[inline(always)]
-        unsafe fn splat(x: f32) -> __m512 {
-            unsafe { _mm512_set1_ps(x) }
-        }
-        #[inline(always)]
-        unsafe fn load(p: *const f32) -> __m512 {
-            unsafe { _mm512_loadu_ps(p) }
-        }
-        #[inline(always)]
-        unsafe fn store(p: *mut f32, v: __m512) {
-            unsafe { _mm512_storeu_ps(p, v) }
-        }
-        #[inline(always)]
-        unsafe fn fma(a: __m512, b: __m512, c: __m512) -> __m512 {
-            unsafe { _mm512_fmadd_ps(a, b, c) }
-        }
-        #[inline(always)]
-        unsafe fn add(a: __m512, b: __m512) -> __m512 {
-            unsafe { _mm512_add_ps(a, b) }
-        }
-        #[inline(always)]
-        unsafe fn relu(a: __m512) -> __m512 {
-            unsafe { _mm512_max_ps(a, _mm512_setzero_ps()) }
-        }
-        #[inline(always)]
-        unsafe fn where_positive(gate: __m512, a: __m512) -> __m512 {
-            unsafe { _mm512_maskz_mov_ps(_mm512_cmp_ps_mask::<_CMP_GT_OQ>(gate, _mm512_setzero_ps()), a) }
-        }
-    }
-
-    #[derive(Clone, Copy, Debug)]
-    pub(super) struct Avx2;
-
-    impl Simd for Avx2 {
-        type V = [__m256; 2];
-        const ROWS: usize = 4;
-        quads!();
-
-        #[inline(always)]
-        unsafe fn splat(x: f32) -> [__m256; 2] {
-            unsafe { [_mm256_set1_ps(x); 2] }
-        }
-        #[inline(always)]
-        unsafe fn load(p: *const f32) -> [__m256; 2] {
-            unsafe { [_mm256_loadu_ps(p), _mm256_loadu_ps(p.add(8))] }
-        }
-        #[inline(always)]
-        unsafe fn store(p: *mut f32, v: [__m256; 2]) {
-            unsafe {
-                _mm256_storeu_ps(p, v[0]);
-                _mm256_storeu_ps(p.add(8), v[1]);
-            }
-        }
-        #[inline(always)]
-        unsafe fn fma(a: [__m256; 2], b: [__m256; 2], c: [__m256; 2]) -> [__m256; 2] {
-            unsafe { [_mm256_fmadd_ps(a[0], b[0], c[0]), _mm256_fmadd_ps(a[1], b[1], c[1])] }
-        }
-        #[inline(always)]
-        unsafe fn add(a: [__m256; 2], b: [__m256; 2]) -> [__m256; 2] {
-            unsafe { [_mm256_add_ps(a[0], b[0]), _mm256_add_ps(a[1], b[1])] }
-        }
-        #[inline(always)]
-        unsafe fn relu(a: [__m256; 2]) -> [__m256; 2] {
-            unsafe { a.map(|v| _mm256_max_ps(v, _mm256_setzero_ps())) }
-        }
-        #[inline(always)]
-        unsafe fn where_positive(gate: [__m256; 2], a: [__m256; 2]) -> [__m256; 2] {
-            unsafe {
-                let half = |g: __m256, v: __m256| _mm256_and_ps(_mm256_cmp_ps::<_CMP_GT_OQ>(g, _mm256_setzero_ps()), v);
-                [half(gate[0], a[0]), half(gate[1], a[1])]
-            }
-        }
     }
 }

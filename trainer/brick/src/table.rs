@@ -3,6 +3,7 @@
 //! Only blocks that received a gradient are updated (nothing else moves), and bias correction uses a block's own count:
 //! with the global one, the first touch of a late block would take a full-size step in a random direction.
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// A table of trainable numbers.
@@ -80,35 +81,64 @@ impl Table {
 
     /// Updates the touched blocks from `from_block` on with the sum of `grads`, in their order, and clears these.
     pub fn step(&mut self, grads: &mut [&mut TableGrad], adam: &Adam, from_block: usize) {
-        for block in from_block..self.steps.len() {
-            if !grads.iter().any(|g| g.touched.get(block).copied().unwrap_or(false)) {
+        /// Numbers that one thread takes at a time.
+        const SHARE: usize = 1 << 15;
+        let Self { values, first, second, steps, block } = self;
+        let per_share = (SHARE / *block).max(1);
+        let numbers = per_share * *block;
+        let mut shares: Vec<Share<'_>> = values
+            .chunks_mut(numbers)
+            .zip(first.chunks_mut(numbers))
+            .zip(second.chunks_mut(numbers))
+            .zip(steps.chunks_mut(per_share))
+            .map(|(((values, first), second), steps)| Share { values, first, second, steps, grads: Vec::new() })
+            .collect();
+        for grad in grads {
+            let TableGrad { values, touched } = &mut **grad;
+            let parts = values.chunks_mut(numbers).zip(touched.chunks_mut(per_share));
+            shares.iter_mut().zip(parts).for_each(|(share, part)| share.grads.push(part));
+        }
+        let block = *block;
+        shares.into_par_iter().enumerate().for_each(|(i, mut share)| {
+            let from = from_block.saturating_sub(i * per_share);
+            share.step(block, adam, from);
+        });
+    }
+}
+
+/// Some blocks of a table, with what each thread gathered for them.
+struct Share<'a> {
+    values: &'a mut [f32],
+    first: &'a mut [f32],
+    second: &'a mut [f32],
+    steps: &'a mut [u32],
+    grads: Vec<(&'a mut [f32], &'a mut [bool])>,
+}
+
+impl Share<'_> {
+    fn step(&mut self, size: usize, adam: &Adam, from: usize) {
+        for block in from..self.steps.len() {
+            if !self.grads.iter().any(|(_, touched)| touched[block]) {
                 continue;
             }
-            let range = block * self.block..(block + 1) * self.block;
-            let (first, rest) = grads.split_at_mut(1);
-            for other in rest {
-                if other.touched.get(block).copied().unwrap_or(false) {
-                    other.touched[block] = false;
-                    for (a, b) in first[0].values[range.clone()].iter_mut().zip(&mut other.values[range.clone()]) {
+            let range = block * size..(block + 1) * size;
+            let Some(((sum, touched), rest)) = self.grads.split_first_mut() else { return };
+            for (values, touched) in rest {
+                if std::mem::take(&mut touched[block]) {
+                    for (a, b) in sum[range.clone()].iter_mut().zip(&mut values[range.clone()]) {
                         *a += *b;
                         *b = 0.0;
                     }
                 }
             }
-            first[0].touched[block] = false;
+            touched[block] = false;
             self.steps[block] += 1;
-            let t = self.steps[block].min(10_000) as i32;
-            let update = Update {
-                correct1: 1.0 / (1.0 - adam.beta1.powi(t)),
-                correct2: 1.0 / (1.0 - adam.beta2.powi(t)),
-                adam: *adam,
-            };
             crate::simd::run(UpdateTask {
-                update,
+                update: Update::new(adam, self.steps[block]),
                 values: &mut self.values[range.clone()],
                 first: &mut self.first[range.clone()],
                 second: &mut self.second[range.clone()],
-                grads: &mut first[0].values[range],
+                grads: &mut sum[range],
             });
         }
     }
@@ -122,11 +152,37 @@ fn lengthen(values: &mut Vec<f32>, n: usize) {
     values.resize(n, 0.0);
 }
 
-#[derive(Clone, Copy)]
-struct Update {
+/// An update of numbers that share a count of steps.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Update {
     correct1: f32,
     correct2: f32,
     adam: Adam,
+}
+
+impl Update {
+    /// The update number `steps`, from 1.
+    pub(crate) fn new(adam: &Adam, steps: u32) -> Self {
+        let t = steps.min(10_000) as i32;
+        Self { correct1: 1.0 / (1.0 - adam.beta1.powi(t)), correct2: 1.0 / (1.0 - adam.beta2.powi(t)), adam: *adam }
+    }
+
+    #[inline(always)]
+    fn one(&self, g: f32, m: &mut f32, v: &mut f32, value: &mut f32, rate: f32) {
+        let adam = &self.adam;
+        *m = adam.beta1 * *m + (1.0 - adam.beta1) * g;
+        *v = adam.beta2 * *v + (1.0 - adam.beta2) * g * g;
+        *value -= rate * (*m * self.correct1) / ((*v * self.correct2).sqrt() + adam.epsilon);
+    }
+
+    /// Updates 8 numbers, each with its own rate.
+    #[inline(always)]
+    pub(crate) fn eight(&self, g: &[f32; 8], m: &mut [f32], v: &mut [f32], values: &mut [f32]) {
+        let (m, v, values) = (&mut m[..8], &mut v[..8], &mut values[..8]);
+        for c in 0..8 {
+            self.one(g[c], &mut m[c], &mut v[c], &mut values[c], self.adam.rates[c]);
+        }
+    }
 }
 
 struct UpdateTask<'a> {
@@ -142,25 +198,20 @@ impl crate::simd::Task for UpdateTask<'_> {
 
     #[inline(always)]
     fn run<S: crate::simd::Simd>(self) {
-        let Update { correct1, correct2, adam } = self.update;
-        let n = self.values.len();
-        let (values, first, second, grads) =
-            (&mut self.values[..n], &mut self.first[..n], &mut self.second[..n], &mut self.grads[..n]);
-        let one = |g: &mut f32, m: &mut f32, v: &mut f32, value: &mut f32, rate: f32| {
-            *m = adam.beta1 * *m + (1.0 - adam.beta1) * *g;
-            *v = adam.beta2 * *v + (1.0 - adam.beta2) * *g * *g;
-            *value -= rate * (*m * correct1) / ((*v * correct2).sqrt() + adam.epsilon);
-            *g = 0.0;
-        };
+        let Self { update, values, first, second, grads } = self;
+        let n = values.len();
+        let (first, second, grads) = (&mut first[..n], &mut second[..n], &mut grads[..n]);
         let whole = n / 8 * 8;
         for i in (0..whole).step_by(8) {
             for j in 0..8 {
-                one(&mut grads[i + j], &mut first[i + j], &mut second[i + j], &mut values[i + j], adam.rates[j]);
+                let rate = update.adam.rates[j];
+                update.one(grads[i + j], &mut first[i + j], &mut second[i + j], &mut values[i + j], rate);
             }
         }
         for i in whole..n {
-            one(&mut grads[i], &mut first[i], &mut second[i], &mut values[i], adam.rates[i % 8]);
+            update.one(grads[i], &mut first[i], &mut second[i], &mut values[i], update.adam.rates[i % 8]);
         }
+        grads.fill(0.0);
     }
 }
 

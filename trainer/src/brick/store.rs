@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::path::Path;
 
+use risorius_brick::field::LAYERS;
 use risorius_brick::lattice::{BRICK, Lattice};
 use risorius_brick::model::Part;
 use risorius_brick::table::Table;
@@ -305,10 +306,18 @@ fn settle(model: &mut Brick, content: Content) -> std::result::Result<(), String
         if fresh {
             table.first = vec![0.0; n];
             table.second = vec![0.0; n];
+            // An avatar is read whatever blocks it was fitted with.
+            table.steps.resize(blocks, 1);
         }
         let lengths = [table.values.len(), table.first.len(), table.second.len()];
-        if lengths != [n; 3] || table.steps.len() != blocks {
+        if lengths != [n; 3] {
             return Err(format!("`{name}` has {} numbers, expected {n}", table.values.len()));
+        }
+        if table.steps.len() != blocks {
+            return Err(format!(
+                "`{name}` has {} blocks, expected {blocks}: another version wrote it",
+                table.steps.len()
+            ));
         }
         Ok(())
     };
@@ -317,8 +326,7 @@ fn settle(model: &mut Brick, content: Content) -> std::result::Result<(), String
         for (l, (level, features)) in part.field.levels.iter_mut().zip(&mut part.field.features).enumerate() {
             let expected = level.bricks().iter().product();
             lattice(&format!("{name}.level{l}.slot"), level, expected)?;
-            let slots = level.slots;
-            table(&format!("{name}.level{l}"), features, slots)?;
+            table(&format!("{name}.level{l}"), features, level.slots * LAYERS)?;
         }
         table(&format!("{name}.net"), &mut part.field.net, 1)?;
         let cells = risorius_brick::occupancy::COUNT;
@@ -338,6 +346,7 @@ fn settle(model: &mut Brick, content: Content) -> std::result::Result<(), String
     if e.slots_of.iter().flatten().any(|&s| s as usize >= e.lattice.slots) {
         return Err("a region names a brick that is not there".to_owned());
     }
+    e.list_vertices();
     for (k, residual) in e.residuals.iter_mut().enumerate() {
         table(&format!("expression.au{k}"), residual, e.slots_of[e.region_of[k]].len())?;
     }

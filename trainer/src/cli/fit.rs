@@ -47,6 +47,9 @@ pub(super) struct FitArgs {
     /// Steps between checkpoints
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(super) checkpoint_every: Option<u64>,
+    /// Change a setting of the brick field, as in its settings.toml, such as step.grid_rate=0.005; may be repeated
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub(super) set: Vec<String>,
     #[command(flatten)]
     pub(super) skips: super::SkipArgs,
     /// Go on from the newest checkpoint in RUN

@@ -29,13 +29,14 @@ pub(super) struct Fit {
 /// Fits for a time or a number of steps and evaluates.
 pub(super) fn measure(
     cli: &Cli,
+    dataset: &std::path::Path,
     name: &str,
     length: [&str; 2],
     no_skip: Option<&str>,
     floor: &Floor,
 ) -> Result<Fit, Failure> {
     let text = |path: &std::path::Path| path.to_string_lossy().into_owned();
-    let (dataset, out, views) = (text(&cli.dataset), text(&cli.work.join(name)), text(&cli.views));
+    let (dataset, out, views) = (text(dataset), text(&cli.work.join(name)), text(&cli.views));
     let mut args = vec!["fit", &dataset, "--out", &out, "--field", "brick", "--force", length[0], length[1]];
     args.extend(no_skip.iter().flat_map(|skip| ["--no-skip", skip]));
     let fit = child::run("trainer", &args, &cli.work)?;

@@ -24,8 +24,11 @@ pub struct Cli {
     #[command(flatten)]
     common: CommonArgs,
     /// A dataset made by `dataset build`
-    #[arg(long, value_name = "DIR")]
-    dataset: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "run")]
+    dataset: Option<PathBuf>,
+    /// Only times pictures of this run; nothing is fitted
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["dataset", "budgets", "skip_steps"])]
+    run: Option<PathBuf>,
     /// Views with true pictures
     #[arg(long, value_name = "VIEWS.json")]
     views: PathBuf,
@@ -63,9 +66,15 @@ struct Report {
 pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     std::fs::create_dir_all(&cli.work).map_err(|e| FormatError::io(&cli.work, "create", &e))?;
     let floor = Floor::measure();
+    let Some(dataset) = &cli.dataset else {
+        let Some(run) = &cli.run else { return Err(Failure::usage("name a `--dataset` or a `--run`")) };
+        let pictures = pictures::measure(run, &cli.views, cli.every)?;
+        console.finish(&pictures, &pictures.table());
+        return Ok(());
+    };
     let measured = |name: &str, length: [&str; 2], skip: Option<&str>| {
         console.say(&format!("fit {name}: {} {}", length[0], length[1]));
-        fits::measure(cli, name, length, skip, &floor)
+        fits::measure(cli, dataset, name, length, skip, &floor)
     };
     let mut fits = Vec::new();
     for budget in &cli.budgets {

@@ -13,13 +13,7 @@ pub(super) struct LaneColumns<'a> {
     pub(super) head_net: Option<&'a mut TableGrad>,
     pub(super) background: Vec<Option<&'a mut TableGrad>>,
     pub(super) background_net: Option<&'a mut TableGrad>,
-    pub(super) residuals: Vec<Option<&'a mut TableGrad>>,
     pub(super) masks: Option<&'a mut TableGrad>,
-    pub(super) latent_bases: Vec<Option<&'a mut TableGrad>>,
-    pub(super) codes: Option<&'a mut TableGrad>,
-    pub(super) alphas: Option<&'a mut TableGrad>,
-    pub(super) log_betas: Option<&'a mut TableGrad>,
-    pub(super) motions: Option<&'a mut TableGrad>,
 }
 
 impl<'a> Columns<'a> {
@@ -31,13 +25,7 @@ impl<'a> Columns<'a> {
                 head_net: Some(&mut l.head.net),
                 background: l.background.features.iter_mut().map(Some).collect(),
                 background_net: Some(&mut l.background.net),
-                residuals: l.residuals.iter_mut().map(Some).collect(),
                 masks: Some(&mut l.masks),
-                latent_bases: l.latent_bases.iter_mut().map(Some).collect(),
-                codes: Some(&mut l.codes),
-                alphas: Some(&mut l.alphas),
-                log_betas: Some(&mut l.log_betas),
-                motions: Some(&mut l.motions),
             })
             .collect();
         Self { lanes }

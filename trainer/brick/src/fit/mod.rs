@@ -5,6 +5,7 @@
 
 mod columns;
 mod lane;
+mod own;
 mod settings;
 
 use rand::{Rng, SeedableRng};
@@ -13,8 +14,11 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use self::columns::Columns;
-use self::lane::{CHUNK, Lane, Totals, Work};
+use self::lane::{CHUNK, Image, Lane, Totals, Work};
+use self::own::{Holds, Own};
 pub use self::settings::Settings;
+use crate::expression::Seen;
+use crate::field::LAYERS;
 use crate::model::{Brick, LATENT, activation};
 use crate::occupancy::PART_COUNT;
 use crate::rays::Look;
@@ -96,13 +100,15 @@ pub struct Fitter {
     /// How far it is.
     pub progress: Progress,
     lanes: Vec<Lane>,
+    own: Own,
 }
 
 impl Fitter {
     /// A fit that goes on from `progress`, with a lane per thread of the pool.
     pub fn new(model: Brick, settings: Settings, progress: Progress) -> Self {
         let lanes = rayon::current_num_threads().clamp(1, settings.images);
-        Self { model, settings, progress, lanes: (0..lanes).map(|_| Lane::default()).collect() }
+        let lanes = (0..lanes).map(|_| Lane::default()).collect();
+        Self { model, settings, progress, lanes, own: Own::default() }
     }
 
     /// One step; `done` is the share of the fit that lies behind, which sets the learning rate.
@@ -127,29 +133,39 @@ impl Fitter {
             look: self.look(),
             rays,
             prior: s.prior(self.progress.stage),
-            attribute_weight: s.attribute_weight[0]
-                * (s.attribute_weight[1] / s.attribute_weight[0].max(1e-12)).max(1e-6).powf(done.clamp(0.0, 1.0)),
             moves: self.progress.stage >= 2 && (s.latent || s.refine_cameras),
             step,
         };
         let lane_count = self.lanes.len();
         self.lanes.par_iter_mut().enumerate().for_each(|(lane_index, lane)| {
-            lane.begin(&self.model);
-            for (i, &view) in images.iter().enumerate() {
-                if i % lane_count == lane_index {
-                    lane.image(&work, views, view, i as u64);
-                }
-            }
-            lane.end(&work);
-            if !work.settings.skips.untouched {
-                lane.touch_all();
-            }
+            let mine: Vec<(u64, usize)> =
+                (0u64..).zip(images.iter().copied()).skip(lane_index).step_by(lane_count).collect();
+            lane.run(&work, views, &mine);
         });
-        let moves = work.moves;
-        drop(work);
+        let Work { gates, moves, .. } = work;
+        let holds = Holds {
+            attribute_weight: s.attribute_weight[0]
+                * (s.attribute_weight[1] / s.attribute_weight[0].max(1e-12)).max(1e-6).powf(done.clamp(0.0, 1.0)),
+            latent_weight: (moves && s.latent).then_some(s.latent_weight),
+            cameras: moves && s.refine_cameras,
+            scale: 3.0 * rays as f32,
+        };
+        self.learn_expression(&gates, rate, images.len(), holds);
         self.update(rate, moves);
         self.update_occupancy(views);
         self.finish_step()
+    }
+
+    /// Updates what AUs do, and gathers what the images say of themselves.
+    fn learn_expression(&mut self, gates: &[f32], rate: f32, count: usize, holds: Holds) {
+        let Self { model, settings: s, lanes, own, .. } = self;
+        let images: Vec<&Image> = (0..count).map(|i| &lanes[i % lanes.len()].images[i / lanes.len()]).collect();
+        let seen: Vec<Seen<'_>> =
+            images.iter().map(|i| Seen { activations: &i.activations, d_blend: &i.d_blend }).collect();
+        let (g, w) = (s.residual_rate * rate, s.warp_rate * rate);
+        let adam = Adam { rates: [g, g, g, g, w, w, w, g], ..Adam::new(g) };
+        let d_activations = model.expression.learn(gates, &seen, &adam);
+        own.gather(model, &images, &d_activations, holds);
     }
 
     /// The largest weight per part of head and background since occupancy was last decided; a checkpoint needs them.
@@ -218,41 +234,36 @@ impl Fitter {
     }
 
     fn update(&mut self, rate: f32, moves: bool) {
-        let Self { model, settings: s, lanes, .. } = self;
+        let Self { model, settings: s, lanes, own, .. } = self;
         let grid = Adam::new(s.grid_rate * rate);
         let net = Adam { epsilon: 1e-10, ..Adam::new(s.net_rate * rate) };
         let warp = s.warp_rate * rate;
-        let (g, w) = (s.residual_rate * rate, warp);
-        let residual = Adam { rates: [g, g, g, g, w, w, w, g], ..grid };
         let image = Adam { epsilon: 1e-8, ..Adam::new(s.image_rate * rate) };
         let motion = Adam { epsilon: 1e-8, ..Adam::new(s.image_rate * rate * 0.2) };
         let mut jobs: Vec<(&mut Table, Vec<&mut TableGrad>, Adam, usize)> = Vec::new();
         let mut columns = Columns::new(lanes);
         let Brick { head, background, expression, latent_bases, codes, alphas, log_betas, motions, .. } = model;
         for (l, (table, level)) in head.field.features.iter_mut().zip(&head.field.levels).enumerate() {
-            jobs.push((table, columns.take(|c| &mut c.head[l]), grid, usize::from(level.sparse)));
+            jobs.push((table, columns.take(|c| &mut c.head[l]), grid, LAYERS * usize::from(level.sparse)));
         }
         jobs.push((&mut head.field.net, columns.take(|c| &mut c.head_net), net, 0));
         if let Some(part) = background {
             for (l, (table, level)) in part.field.features.iter_mut().zip(&part.field.levels).enumerate() {
-                jobs.push((table, columns.take(|c| &mut c.background[l]), grid, usize::from(level.sparse)));
+                jobs.push((table, columns.take(|c| &mut c.background[l]), grid, LAYERS * usize::from(level.sparse)));
             }
             jobs.push((&mut part.field.net, columns.take(|c| &mut c.background_net), net, 0));
         }
-        for (k, table) in expression.residuals.iter_mut().enumerate() {
-            jobs.push((table, columns.take(|c| &mut c.residuals[k]), residual, 0));
-        }
         jobs.push((&mut expression.masks, columns.take(|c| &mut c.masks), Adam::new(0.05 * rate), 1));
         if moves {
-            for (j, table) in latent_bases.iter_mut().enumerate() {
-                jobs.push((table, columns.take(|c| &mut c.latent_bases[j]), Adam::new(warp), 0));
+            for (table, grad) in latent_bases.iter_mut().zip(&mut own.latent_bases) {
+                jobs.push((table, vec![grad], Adam::new(warp), 0));
             }
             let code = Adam { rates: [10.0 * image.rates[0]; 8], ..image };
-            jobs.push((codes, columns.take(|c| &mut c.codes), code, 0));
-            jobs.push((motions, columns.take(|c| &mut c.motions), motion, 0));
+            jobs.push((codes, vec![&mut own.codes], code, 0));
+            jobs.push((motions, vec![&mut own.motions], motion, 0));
         }
-        jobs.push((alphas, columns.take(|c| &mut c.alphas), image, 0));
-        jobs.push((log_betas, columns.take(|c| &mut c.log_betas), image, 0));
+        jobs.push((alphas, vec![&mut own.alphas], image, 0));
+        jobs.push((log_betas, vec![&mut own.log_betas], image, 0));
         jobs.into_par_iter().for_each(|(table, mut grads, adam, from)| table.step(&mut grads, &adam, from));
         let [share, warp_share] = self.settings.smooth;
         if self.progress.step.is_multiple_of(16) && share.max(warp_share) > 0.0 {
@@ -293,8 +304,6 @@ impl Fitter {
             t.color += n.color;
             t.mask += n.mask;
             t.masked += n.masked;
-            t.attribute += n.attribute;
-            t.annotated += n.annotated;
         }
         self.progress.samples_per_ray = (t.samples[0] + t.samples[1]) as f32 / t.rays.max(1) as f32;
         StepNumbers {
@@ -302,7 +311,7 @@ impl Fitter {
             samples: t.samples,
             color: t.color / (3 * t.rays.max(1)) as f64,
             mask: t.mask / t.masked.max(1) as f64,
-            attribute: t.attribute / t.annotated.max(1) as f64,
+            attribute: self.own.attribute.0 / self.own.attribute.1.max(1) as f64,
         }
     }
 }
