@@ -9,10 +9,12 @@ use rayon::prelude::*;
 use crate::evaluate::{Deformation, Samples};
 use crate::field::{Field, monomials};
 use crate::lattice::{self, BRICK, EDGE, Lattice};
+use crate::march::{Found, March, SixteenMarches};
 use crate::math;
 use crate::model::Part;
-use crate::occupancy::{CELLS, March, PARTS, cell_position};
+use crate::occupancy::{CELLS, PARTS, cell_position};
 use crate::simd::{self, Simd, Task};
+use crate::sixteen::{Each, POINTS, Sixteen};
 
 /// Raw density, then red, green and blue, 0–1.
 const CHANNELS: usize = 4;
@@ -141,10 +143,10 @@ impl Baked {
         self.vertices.len()
     }
 
-    /// Follows one ray until less than `opaque` is `left`.
+    /// Follows up to sixteen rays until less than `opaque` is left of each; `left` is what they begin with.
     #[inline]
-    pub(crate) fn send(&self, part: &Part, march: March, left: f32, opaque: f32) -> Through {
-        simd::run(Send { baked: self, part, march, left, opaque })
+    pub(crate) fn send(&self, part: &Part, marches: &[March], left: &[f32], opaque: f32) -> [Through; POINTS] {
+        simd::run(Send { baked: self, part, marches, left, opaque })
     }
 }
 
@@ -180,43 +182,59 @@ fn wanted_vertices(part: &Part, size: [usize; 3]) -> Vec<[u64; BRICK / 64]> {
 struct Send<'a> {
     baked: &'a Baked,
     part: &'a Part,
-    march: March,
-    left: f32,
+    marches: &'a [March],
+    left: &'a [f32],
     opaque: f32,
 }
 
 impl Task for Send<'_> {
-    type Output = Through;
+    type Output = [Through; POINTS];
 
     #[inline(always)]
     #[allow(unsafe_code, reason = "corners come from the lattice that the values were baked for")]
-    fn run<S: Simd>(self) -> Through {
-        let Self { baked, part, mut march, mut left, opaque } = self;
-        let mut color = [0.0; 4];
-        let mut depth = [0.0; 2];
-        let mut crossed = Crossed::NONE;
-        while left >= opaque {
-            let Some((p, t)) = part.occupancy.next(&mut march) else { break };
-            let corners = baked.lattice.corners(p);
-            let [first, .., last] = corners.index.map(|i| i / BRICK as u32);
-            crossed.add(first);
-            if first != last {
-                corners.index.iter().for_each(|i| crossed.add(i / BRICK as u32));
-            }
-            let mut value = [0.0; CHANNELS];
-            // SAFETY: `values` has a row for every slot of the lattice.
-            unsafe {
-                let v = lattice::gather::<S>(&baked.values, CHANNELS, 0, &corners, &corners.weights());
-                S::q_store(value.as_mut_ptr(), v);
-            }
-            let alpha = 1.0 - math::exp(-math::density(value[0]) * march.step);
-            let w = left * alpha;
-            for c in 0..3 {
-                color[c] += w * value[c + 1];
-            }
-            depth = [depth[0] + w * t, depth[1] + w];
-            left *= 1.0 - alpha;
+    fn run<S: Simd>(self) -> [Through; POINTS] {
+        let Self { baked, part, marches, left, opaque } = self;
+        assert!(marches.len() <= POINTS && marches.len() == left.len(), "sixteen rays at most");
+        let nothing = Through { color: [0.0; 3], left: 0.0, depth: [0.0; 2], crossed: Crossed::NONE };
+        let mut out = [nothing; POINTS];
+        let (mut sixteen, mut found, mut corners) = (SixteenMarches::default(), Found::default(), Sixteen::default());
+        let mut step: Each<f32> = [0.0; POINTS];
+        let mut going = 0u16;
+        for (i, (march, &left)) in marches.iter().zip(left).enumerate() {
+            sixteen.put(i, march);
+            step[i] = march.step;
+            out[i].left = left;
+            going |= u16::from(left >= opaque) << i;
         }
-        Through { color: [color[0], color[1], color[2]], left, depth, crossed }
+        while going != 0 {
+            part.occupancy.next_of_sixteen::<S>(&mut sixteen, going, &mut found);
+            going = found.rays;
+            baked.lattice.sixteen::<S>(&found.points, &mut corners);
+            for i in (0..marches.len()).filter(|i| found.rays >> i & 1 == 1) {
+                let (c, through) = (corners.corners(i), &mut out[i]);
+                let [first, .., last] = c.index.map(|i| i / BRICK as u32);
+                through.crossed.add(first);
+                if first != last {
+                    c.index.iter().for_each(|i| through.crossed.add(i / BRICK as u32));
+                }
+                let mut value = [0.0; CHANNELS];
+                // SAFETY: `values` has a row for every slot of the lattice.
+                unsafe {
+                    let v = lattice::gather::<S>(&baked.values, CHANNELS, 0, &c, &corners.weights(i));
+                    S::q_store(value.as_mut_ptr(), v);
+                }
+                let alpha = 1.0 - math::exp(-math::density(value[0]) * step[i]);
+                let w = through.left * alpha;
+                for c in 0..3 {
+                    through.color[c] += w * value[c + 1];
+                }
+                through.depth = [through.depth[0] + w * found.t[i], through.depth[1] + w];
+                through.left *= 1.0 - alpha;
+                if through.left < opaque {
+                    going &= !(1 << i);
+                }
+            }
+        }
+        out
     }
 }

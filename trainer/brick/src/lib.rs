@@ -23,6 +23,7 @@ pub mod field;
 pub mod fit;
 pub mod floor;
 pub mod lattice;
+pub mod march;
 pub mod math;
 mod matmul;
 pub mod model;

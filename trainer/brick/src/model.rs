@@ -8,8 +8,9 @@ use crate::evaluate::Deformation;
 use crate::expression::Expression;
 use crate::field::Field;
 use crate::lattice::{BRICK, Lattice};
+use crate::march::{March, crossing};
 use crate::math::{dot, rotate};
-use crate::occupancy::{March, Occupancy, crossing};
+use crate::occupancy::Occupancy;
 use crate::table::Table;
 
 /// Numbers of a latent code ω.

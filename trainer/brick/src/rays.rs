@@ -7,10 +7,15 @@
 use crate::evaluate::{Deformation, DeformationGrad, Samples};
 use crate::expression::MASKS;
 use crate::field::{Field, FieldGrad, Transposed, monomials};
+use crate::march::{Found, March, SixteenMarches};
 use crate::math;
 use crate::model::{BackgroundFrame, Brick, Part};
-use crate::occupancy::{March, Occupancy, part_at};
+use crate::occupancy::{Occupancy, part_at};
 use crate::simd::{self, Simd, Task};
+use crate::sixteen::POINTS;
+
+/// Samples that a ray takes at most before it is asked whether it is over.
+const MOST_AT_A_TIME: usize = 8;
 
 /// What one part of the scene has along each ray.
 #[derive(Clone, Debug, Default)]
@@ -75,8 +80,9 @@ pub(crate) struct Look {
     pub(crate) planes: usize,
     /// A ray whose transmittance falls below this is over; 0 follows rays to their ends.
     pub(crate) opaque: f32,
-    /// Samples a ray takes at a time: few waste little behind the first surface, many go through the network together.
-    pub(crate) wave: usize,
+    /// Samples that go through the network together at least, while there are rays for it: when few rays are left, each
+    /// takes several at a time, and may waste some behind the surface it ends at.
+    pub(crate) batch: usize,
     /// Whether samples are also taken where nothing is, for measuring what their absence saves. They show nothing.
     pub(crate) everywhere: bool,
 }
@@ -345,31 +351,12 @@ impl Task for Through<'_> {
         while !pass.alive.is_empty() {
             let from = pass.samples.len();
             let Pass { samples, along, alive, .. } = &mut *pass;
-            // A plain loop: a closure would be compiled for the plainest instructions.
-            let mut kept = 0;
-            for i in 0..alive.len() {
-                let ray = alive[i];
-                if left[ray as usize] < look.opaque {
-                    continue;
-                }
-                let march = &mut marches[ray as usize];
-                let mut goes_on = true;
-                for _ in 0..look.wave {
-                    let found = if look.everywhere { march.next_anywhere() } else { occupancy.next(march) };
-                    let Some((p, t)) = found else {
-                        goes_on = false;
-                        break;
-                    };
-                    samples.point.push(p);
-                    samples.ray.push(ray);
-                    along.push(t);
-                }
-                if goes_on {
-                    alive[kept] = ray;
-                    kept += 1;
-                }
+            let wave = (look.batch / alive.len()).clamp(1, MOST_AT_A_TIME);
+            if look.everywhere {
+                take_everywhere(samples, along, alive, marches, left, look.opaque, wave);
+            } else {
+                take_occupied::<S>(occupancy, samples, along, alive, marches, left, look.opaque, wave);
             }
-            alive.truncate(kept);
             pass.samples.forward(&part.field, deformation, from);
             if look.everywhere {
                 pass.silence(from, occupancy);
@@ -377,6 +364,76 @@ impl Task for Through<'_> {
             pass.composite(from, step, look.opaque, left, color);
         }
     }
+}
+
+/// Up to `wave` samples of each ray that goes on, where something is; `alive` keeps those that may have more.
+#[allow(clippy::too_many_arguments, reason = "one call site; a struct of borrows would say no more")]
+#[inline(always)]
+fn take_occupied<S: Simd>(
+    occupancy: &Occupancy,
+    samples: &mut Samples,
+    along: &mut Vec<f32>,
+    alive: &mut Vec<u32>,
+    marches: &mut [March],
+    left: &[f32],
+    opaque: f32,
+    wave: usize,
+) {
+    let (mut sixteen, mut found) = (SixteenMarches::default(), Found::default());
+    let (mut at, mut kept) = (0, 0);
+    while at < alive.len() {
+        let mut rays = [0u32; POINTS];
+        let mut count = 0;
+        while count < POINTS && at < alive.len() {
+            let ray = alive[at];
+            at += 1;
+            if left[ray as usize] >= opaque {
+                sixteen.put(count, &marches[ray as usize]);
+                rays[count] = ray;
+                count += 1;
+            }
+        }
+        let mut going = ((1u32 << count) - 1) as u16;
+        for _ in 0..wave {
+            occupancy.next_of_sixteen::<S>(&mut sixteen, going, &mut found);
+            going = found.rays;
+            for i in (0..count).filter(|i| going >> i & 1 == 1) {
+                samples.point.push([found.points[0][i], found.points[1][i], found.points[2][i]]);
+                samples.ray.push(rays[i]);
+                along.push(found.t[i]);
+            }
+        }
+        for i in (0..count).filter(|i| going >> i & 1 == 1) {
+            sixteen.take(i, &mut marches[rays[i] as usize]);
+            alive[kept] = rays[i];
+            kept += 1;
+        }
+    }
+    alive.truncate(kept);
+}
+
+/// As [`take_occupied`], whatever is there.
+fn take_everywhere(
+    samples: &mut Samples,
+    along: &mut Vec<f32>,
+    alive: &mut Vec<u32>,
+    marches: &mut [March],
+    left: &[f32],
+    opaque: f32,
+    wave: usize,
+) {
+    alive.retain(|&ray| {
+        if left[ray as usize] < opaque {
+            return false;
+        }
+        for _ in 0..wave {
+            let Some((p, t)) = marches[ray as usize].next_anywhere() else { return false };
+            samples.point.push(p);
+            samples.ray.push(ray);
+            along.push(t);
+        }
+        true
+    });
 }
 
 /// Turns gradients of pixels into those of both parts' samples.

@@ -6,14 +6,16 @@ use crate::bake::{Baked, Crossed};
 use crate::evaluate::Deformation;
 use crate::expression::{CHANNELS, MASKS};
 use crate::lattice::BRICK;
+use crate::march::March;
 use crate::model::{Brick, LATENT, activation, deformation};
 use crate::rays::{Look, Rays};
+use crate::sixteen::POINTS;
 use crate::skips::Skips;
 
 /// Rays that travel together.
-const CHUNK: usize = 256;
-/// Samples that a ray takes at a time: few, since most rays end at the first surface they meet.
-const WAVE: usize = 4;
+const CHUNK: usize = 512;
+/// Samples that go through the network together.
+const BATCH: usize = 256;
 /// A ray that lets less than this through is over. No colour exceeds 1, so what is left out changes a pixel by less.
 const OPAQUE: f32 = 1.0 / 600.0;
 
@@ -126,7 +128,7 @@ impl<'a> Face<'a> {
             divisions: model.divisions,
             planes: model.planes,
             opaque: if self.skips.hidden { OPAQUE } else { 0.0 },
-            wave: WAVE,
+            batch: BATCH,
             everywhere: !self.skips.empty_space,
         };
         rays.forward(model, &deformation, None, origin, directions, || 0.5, look);
@@ -217,9 +219,7 @@ impl<'a> BakedFace<'a> {
     /// A picture of rays from `origin` along `directions` (unit, world).
     pub fn picture(&mut self, origin: [f32; 3], directions: Vec<[f32; 3]>) -> BakedPicture {
         self.stale.fill(false);
-        let rays: Vec<(Shown, Crossed)> =
-            directions.par_iter().with_min_len(CHUNK).map(|&d| self.send(origin, d)).collect();
-        let (shown, crossed) = rays.into_iter().unzip();
+        let (shown, crossed) = self.send_all(origin, &directions).into_iter().unzip();
         BakedPicture { origin, directions, shown, crossed }
     }
 
@@ -230,35 +230,60 @@ impl<'a> BakedFace<'a> {
         }
         let BakedPicture { origin, directions, shown, crossed } = picture;
         let stale: Vec<usize> = (0..crossed.len()).filter(|&i| crossed[i].any(&self.stale)).collect();
-        let this = &*self;
-        let sent: Vec<(Shown, Crossed)> =
-            stale.par_iter().with_min_len(CHUNK).map(|&i| this.send(*origin, directions[i])).collect();
-        for (&i, new) in stale.iter().zip(sent) {
+        let wanted: Vec<[f32; 3]> = stale.iter().map(|&i| directions[i]).collect();
+        for (&i, new) in stale.iter().zip(self.send_all(*origin, &wanted)) {
             (shown[i], crossed[i]) = new;
         }
         self.stale.fill(false);
         stale
     }
 
-    fn send(&self, origin: [f32; 3], direction: [f32; 3]) -> (Shown, Crossed) {
+    /// What rays show, sixteen at a time.
+    fn send_all(&self, origin: [f32; 3], directions: &[[f32; 3]]) -> Vec<(Shown, Crossed)> {
+        let mut out = vec![(Shown::default(), Crossed::NONE); directions.len()];
+        out.par_chunks_mut(CHUNK).zip(directions.par_chunks(CHUNK)).for_each(|(out, directions)| {
+            for (out, directions) in out.chunks_mut(POINTS).zip(directions.chunks(POINTS)) {
+                self.send(origin, directions, out);
+            }
+        });
+        out
+    }
+
+    fn send(&self, origin: [f32; 3], directions: &[[f32; 3]], out: &mut [(Shown, Crossed)]) {
         let model = self.face.model;
-        let march = model.head_march(origin, direction, None, model.divisions, 0.5);
-        let head = self.head.send(&model.head, march, 1.0, OPAQUE);
-        let mut shown = Shown {
-            color: head.color,
-            left: head.left,
-            depth: if head.depth[1] > 0.5 { head.depth[0] / head.depth[1] * model.layout.head_box.half } else { 0.0 },
-            ..Shown::default()
-        };
-        if let (Some(part), Some(frame), Some(baked)) = (&model.background, &model.layout.background, &self.background)
-            && head.left > OPAQUE
-            && let Some(march) = frame.march(frame.camera_from_world(origin), frame.turn(direction), model.planes, 0.5)
-        {
-            let behind = baked.send(part, march, head.left, OPAQUE);
-            shown.left = behind.left;
-            (0..3).for_each(|c| shown.color[c] += behind.color[c]);
+        let march = |&d: &[f32; 3]| model.head_march(origin, d, None, model.divisions, 0.5);
+        let marches: Vec<March> = directions.iter().map(march).collect();
+        let head = self.head.send(&model.head, &marches, &[1.0; POINTS][..marches.len()], OPAQUE);
+        for ((shown, crossed), through) in out.iter_mut().zip(&head) {
+            let [sum, weight] = through.depth;
+            *shown = Shown {
+                color: through.color,
+                left: through.left,
+                depth: if weight > 0.5 { sum / weight * model.layout.head_box.half } else { 0.0 },
+                ..Shown::default()
+            };
+            *crossed = through.crossed;
         }
-        (shown, head.crossed)
+        let (Some(part), Some(frame), Some(baked)) = (&model.background, &model.layout.background, &self.background)
+        else {
+            return;
+        };
+        let from_camera = frame.camera_from_world(origin);
+        let (mut marches, mut left, mut rays) = (Vec::new(), Vec::new(), Vec::new());
+        for (ray, (direction, (shown, _))) in directions.iter().zip(&*out).enumerate() {
+            let march = frame.march(from_camera, frame.turn(*direction), model.planes, 0.5);
+            if let Some(march) = march.filter(|_| shown.left > OPAQUE) {
+                marches.push(march);
+                left.push(shown.left);
+                rays.push(ray);
+            }
+        }
+        let behind = baked.send(part, &marches, &left, OPAQUE);
+        for (&ray, through) in rays.iter().zip(&behind) {
+            let (shown, _) = &mut out[ray];
+            shown.left = through.left;
+            (0..3).for_each(|c| shown.color[c] += through.color[c]);
+        }
     }
 }
 

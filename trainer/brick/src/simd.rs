@@ -19,6 +19,8 @@ pub trait Simd: Copy + 'static {
     type V: Copy;
     /// 16 whole numbers of 32 bits.
     type I: Copy;
+    /// Which of 16.
+    type M: Copy;
     /// 4 numbers.
     type Q: Copy;
     /// Rows and vectors that a block of a matrix product keeps in registers.
@@ -48,8 +50,27 @@ pub trait Simd: Copy + 'static {
     /// The smaller of both; `b` where `a` is no number.
     unsafe fn min(a: Self::V, b: Self::V) -> Self::V;
 
+    /// The next whole number upwards.
+    unsafe fn ceil(a: Self::V) -> Self::V;
+    /// Where a < b.
+    unsafe fn lt(a: Self::V, b: Self::V) -> Self::M;
+    /// `a` where `m`, else `b`.
+    unsafe fn select(m: Self::M, a: Self::V, b: Self::V) -> Self::V;
+    /// A bit each, the first the lowest.
+    unsafe fn m_bits(m: Self::M) -> u16;
+    /// The other way round.
+    unsafe fn m_from(bits: u16) -> Self::M;
+
     /// 16 times `x`.
     unsafe fn i_splat(x: i32) -> Self::I;
+    /// Where a is not 0.
+    unsafe fn i_some(a: Self::I) -> Self::M;
+    /// `a` where `m`, else `b`.
+    unsafe fn i_select(m: Self::M, a: Self::I, b: Self::I) -> Self::I;
+    /// a >> b
+    unsafe fn i_right(a: Self::I, b: Self::I) -> Self::I;
+    /// The 32 bits that begin at `p[i]`.
+    unsafe fn i_gather_pairs(p: *const u16, i: Self::I) -> Self::I;
     /// The whole parts of numbers that fit.
     unsafe fn i_from(v: Self::V) -> Self::I;
     /// Whole numbers as numbers.
@@ -171,6 +192,7 @@ pub struct Scalar;
 impl Simd for Scalar {
     type V = [f32; 16];
     type I = [i32; 16];
+    type M = u16;
     type Q = [f32; 4];
     const ROWS: usize = 2;
 
@@ -217,6 +239,42 @@ impl Simd for Scalar {
     #[inline(always)]
     unsafe fn min(a: [f32; 16], b: [f32; 16]) -> [f32; 16] {
         std::array::from_fn(|i| if a[i] < b[i] { a[i] } else { b[i] })
+    }
+    #[inline(always)]
+    unsafe fn ceil(a: [f32; 16]) -> [f32; 16] {
+        a.map(f32::ceil)
+    }
+    #[inline(always)]
+    unsafe fn lt(a: [f32; 16], b: [f32; 16]) -> u16 {
+        (0..16).fold(0, |m, i| m | u16::from(a[i] < b[i]) << i)
+    }
+    #[inline(always)]
+    unsafe fn select(m: u16, a: [f32; 16], b: [f32; 16]) -> [f32; 16] {
+        std::array::from_fn(|i| if m >> i & 1 == 1 { a[i] } else { b[i] })
+    }
+    #[inline(always)]
+    unsafe fn m_bits(m: u16) -> u16 {
+        m
+    }
+    #[inline(always)]
+    unsafe fn m_from(bits: u16) -> u16 {
+        bits
+    }
+    #[inline(always)]
+    unsafe fn i_some(a: [i32; 16]) -> u16 {
+        (0..16).fold(0, |m, i| m | u16::from(a[i] != 0) << i)
+    }
+    #[inline(always)]
+    unsafe fn i_select(m: u16, a: [i32; 16], b: [i32; 16]) -> [i32; 16] {
+        std::array::from_fn(|i| if m >> i & 1 == 1 { a[i] } else { b[i] })
+    }
+    #[inline(always)]
+    unsafe fn i_right(a: [i32; 16], b: [i32; 16]) -> [i32; 16] {
+        std::array::from_fn(|i| a[i] >> b[i])
+    }
+    #[inline(always)]
+    unsafe fn i_gather_pairs(p: *const u16, i: [i32; 16]) -> [i32; 16] {
+        i.map(|i| unsafe { p.add(i as usize).cast::<i32>().read_unaligned() })
     }
     #[inline(always)]
     unsafe fn i_splat(x: i32) -> [i32; 16] {

@@ -24,8 +24,8 @@ use crate::occupancy::PART_COUNT;
 use crate::rays::Look;
 use crate::table::{Adam, Table, TableGrad};
 
-/// Samples that a ray takes at a time.
-const WAVE: usize = 8;
+/// Samples that go through the network together.
+const BATCH: usize = 256;
 
 /// A pixel to fit.
 #[derive(Clone, Copy, Debug, Default)]
@@ -194,7 +194,7 @@ impl Fitter {
             divisions: of(self.settings.finest[0]),
             planes: of(self.settings.finest[1]),
             opaque: if self.settings.skips.hidden { 1e-4 } else { 0.0 },
-            wave: WAVE,
+            batch: BATCH,
             everywhere: false,
         }
     }

@@ -41,6 +41,7 @@ pub(super) struct Avx512;
 impl Simd for Avx512 {
     type V = __m512;
     type I = __m512i;
+    type M = __mmask16;
     const ROWS: usize = 8;
     quads!();
 
@@ -87,6 +88,42 @@ impl Simd for Avx512 {
     #[inline(always)]
     unsafe fn min(a: __m512, b: __m512) -> __m512 {
         unsafe { _mm512_min_ps(a, b) }
+    }
+    #[inline(always)]
+    unsafe fn ceil(a: __m512) -> __m512 {
+        unsafe { _mm512_roundscale_ps::<0x0a>(a) }
+    }
+    #[inline(always)]
+    unsafe fn lt(a: __m512, b: __m512) -> __mmask16 {
+        unsafe { _mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b) }
+    }
+    #[inline(always)]
+    unsafe fn select(m: __mmask16, a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_mask_blend_ps(m, b, a) }
+    }
+    #[inline(always)]
+    unsafe fn m_bits(m: __mmask16) -> u16 {
+        m
+    }
+    #[inline(always)]
+    unsafe fn m_from(bits: u16) -> __mmask16 {
+        bits
+    }
+    #[inline(always)]
+    unsafe fn i_some(a: __m512i) -> __mmask16 {
+        unsafe { _mm512_test_epi32_mask(a, a) }
+    }
+    #[inline(always)]
+    unsafe fn i_select(m: __mmask16, a: __m512i, b: __m512i) -> __m512i {
+        unsafe { _mm512_mask_blend_epi32(m, b, a) }
+    }
+    #[inline(always)]
+    unsafe fn i_right(a: __m512i, b: __m512i) -> __m512i {
+        unsafe { _mm512_srlv_epi32(a, b) }
+    }
+    #[inline(always)]
+    unsafe fn i_gather_pairs(p: *const u16, i: __m512i) -> __m512i {
+        unsafe { _mm512_i32gather_epi32::<2>(i, p.cast()) }
     }
     #[inline(always)]
     unsafe fn i_splat(x: i32) -> __m512i {
@@ -136,6 +173,7 @@ pub(super) struct Avx2;
 impl Simd for Avx2 {
     type V = [__m256; 2];
     type I = [__m256i; 2];
+    type M = [__m256; 2];
     const ROWS: usize = 4;
     quads!();
 
@@ -188,6 +226,58 @@ impl Simd for Avx2 {
     #[inline(always)]
     unsafe fn min(a: [__m256; 2], b: [__m256; 2]) -> [__m256; 2] {
         unsafe { [_mm256_min_ps(a[0], b[0]), _mm256_min_ps(a[1], b[1])] }
+    }
+    #[inline(always)]
+    unsafe fn ceil(a: [__m256; 2]) -> [__m256; 2] {
+        unsafe { a.map(|v| _mm256_ceil_ps(v)) }
+    }
+    #[inline(always)]
+    unsafe fn lt(a: [__m256; 2], b: [__m256; 2]) -> [__m256; 2] {
+        unsafe { [_mm256_cmp_ps::<_CMP_LT_OQ>(a[0], b[0]), _mm256_cmp_ps::<_CMP_LT_OQ>(a[1], b[1])] }
+    }
+    #[inline(always)]
+    unsafe fn select(m: [__m256; 2], a: [__m256; 2], b: [__m256; 2]) -> [__m256; 2] {
+        unsafe { [_mm256_blendv_ps(b[0], a[0], m[0]), _mm256_blendv_ps(b[1], a[1], m[1])] }
+    }
+    #[inline(always)]
+    unsafe fn m_bits(m: [__m256; 2]) -> u16 {
+        unsafe { _mm256_movemask_ps(m[0]) as u16 | (_mm256_movemask_ps(m[1]) as u16) << 8 }
+    }
+    #[inline(always)]
+    unsafe fn m_from(bits: u16) -> [__m256; 2] {
+        unsafe {
+            let half = |bits: u16| {
+                let lanes = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+                let own = _mm256_and_si256(_mm256_set1_epi32(i32::from(bits)), lanes);
+                _mm256_castsi256_ps(_mm256_cmpeq_epi32(own, lanes))
+            };
+            [half(bits & 0xff), half(bits >> 8)]
+        }
+    }
+    #[inline(always)]
+    unsafe fn i_some(a: [__m256i; 2]) -> [__m256; 2] {
+        unsafe {
+            let some = |v: __m256i| {
+                let none = _mm256_cmpeq_epi32(v, _mm256_setzero_si256());
+                _mm256_castsi256_ps(_mm256_xor_si256(none, _mm256_set1_epi32(-1)))
+            };
+            [some(a[0]), some(a[1])]
+        }
+    }
+    #[inline(always)]
+    unsafe fn i_select(m: [__m256; 2], a: [__m256i; 2], b: [__m256i; 2]) -> [__m256i; 2] {
+        unsafe {
+            let one = |m: __m256, a: __m256i, b: __m256i| _mm256_blendv_epi8(b, a, _mm256_castps_si256(m));
+            [one(m[0], a[0], b[0]), one(m[1], a[1], b[1])]
+        }
+    }
+    #[inline(always)]
+    unsafe fn i_right(a: [__m256i; 2], b: [__m256i; 2]) -> [__m256i; 2] {
+        unsafe { [_mm256_srlv_epi32(a[0], b[0]), _mm256_srlv_epi32(a[1], b[1])] }
+    }
+    #[inline(always)]
+    unsafe fn i_gather_pairs(p: *const u16, i: [__m256i; 2]) -> [__m256i; 2] {
+        unsafe { [_mm256_i32gather_epi32::<2>(p.cast(), i[0]), _mm256_i32gather_epi32::<2>(p.cast(), i[1])] }
     }
     #[inline(always)]
     unsafe fn i_splat(x: i32) -> [__m256i; 2] {
