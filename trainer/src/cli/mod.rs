@@ -5,6 +5,7 @@ mod fit;
 mod fit_brick;
 mod render;
 mod transfer;
+mod view;
 
 use std::path::PathBuf;
 
@@ -41,6 +42,8 @@ enum Command {
     Eval(eval::EvalArgs),
     /// Let a second video's expressions drive the avatar
     Transfer(transfer::TransferArgs),
+    /// Turn and steer the avatar in a page on this machine
+    View(view::ViewArgs),
 }
 
 /// Runs what was typed.
@@ -50,6 +53,7 @@ pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
         Command::Render(args) => render::run(args, console),
         Command::Eval(args) => eval::run(args, console),
         Command::Transfer(args) => transfer::run(args, console),
+        Command::View(args) => view::run(args, console),
     }
 }
 
