@@ -1,4 +1,4 @@
-//! Renders lists of shots to files, and compares them with the truth.
+//! Renders lists of shots to files.
 
 use std::path::{Path, PathBuf};
 
@@ -6,13 +6,12 @@ use image::ImageEncoder as _;
 use image::RgbImage;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use risorius_formats::views::ViewList;
-use risorius_formats::{Camera, FormatError, Reporter, Warning, atomic};
+use risorius_formats::{Camera, Reporter, Warning, atomic};
 use risorius_video::Writer;
 use serde::Serialize;
 
 use crate::avatar::{Avatar, Render};
 use crate::error::{Result, TrainerError};
-use crate::eval::{self, Evaluation, ViewScore};
 use crate::studio::{Look, Studio};
 
 /// One picture to take.
@@ -153,57 +152,4 @@ fn write_pixels(
         .write_image(pixels, width, height, color)
         .map_err(|e| TrainerError::Image { path: path.to_owned(), message: e.to_string() })?;
     Ok(atomic::write_file(path, &bytes)?)
-}
-
-/// Where the pictures to be judged come from.
-#[derive(Clone, Copy)]
-pub enum Judged<'a> {
-    /// PNGs that were rendered before.
-    Folder(&'a Path),
-    /// The avatar, rendered now; its pictures are kept in the folder.
-    Avatar(&'a Avatar, Look, &'a Path),
-}
-
-/// Compares pictures with the true images that the list names. Parts of images are judged where the avatar tells them
-/// apart.
-pub fn evaluate(views: &ViewList, list_path: &Path, judged: Judged<'_>, reporter: &dyn Reporter) -> Result<Evaluation> {
-    let base = list_path.parent().unwrap_or(Path::new("."));
-    let with_truth = ViewList { views: views.views.iter().filter(|v| v.image.is_some()).cloned().collect() };
-    let mut studio = match judged {
-        Judged::Avatar(avatar, look, folder) => {
-            Some((avatar, Studio::new(avatar, look), shots_of_views(avatar, &with_truth, reporter), folder))
-        }
-        Judged::Folder(_) => None,
-    };
-    let mut scores = Vec::new();
-    reporter.stage("evaluate", Some(with_truth.views.len() as u64));
-    for (i, view) in with_truth.views.iter().enumerate() {
-        if reporter.cancelled() {
-            return Err(TrainerError::Interrupted { done: format!("{i} of {} views", with_truth.views.len()) });
-        }
-        let path = base.join(view.image.as_deref().unwrap_or(Path::new("")));
-        let truth = crate::data::read_rgb(&path)?;
-        let name = format!("{}.png", view.id);
-        let (picture, parts_psnr_db) = match (&mut studio, judged) {
-            (Some((avatar, studio, shots, folder)), _) => {
-                let shot = &shots[i];
-                let (picture, maps) = studio.picture_and_maps(&shot.camera, &shot.attributes, reporter)?;
-                write_png(&folder.join(name), &picture)?;
-                let parts = eval::score_parts(&picture, &truth, &maps, &avatar.saved.table.regions);
-                (picture, parts)
-            }
-            (None, Judged::Folder(folder) | Judged::Avatar(_, _, folder)) => {
-                (crate::data::read_rgb(&folder.join(name))?, std::collections::BTreeMap::new())
-            }
-        };
-        let psnr_db = eval::score(&picture, &truth, &path)?;
-        scores.push(ViewScore { id: view.id.clone(), kind: view.kind.clone(), psnr_db, parts_psnr_db });
-        reporter.advance(1);
-    }
-    Evaluation::new(scores).ok_or_else(|| {
-        FormatError::new(risorius_formats::ErrorKind::Missing, "names no true image to compare with")
-            .in_file(list_path)
-            .with_hint("a view's `image` names the true picture, relative to the list")
-            .into()
-    })
 }

@@ -21,6 +21,7 @@ use risorius_formats::Reporter;
 
 use crate::avatar::Avatar;
 use crate::error::{Result, TrainerError};
+pub(crate) use overlay::ramp;
 pub use scene::{FrameRequest, Overlay, Scene};
 
 /// How long the server waits before it looks whether the user has stopped it.
