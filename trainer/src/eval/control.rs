@@ -125,7 +125,7 @@ pub struct Spill {
     pub unit: String,
     /// Its region.
     pub region: String,
-    /// Greatest change of a colour where the region's mask is below 2 % with and without the AU, levels of 255.
+    /// Greatest change of a colour where the region's mask is 0 of 255 levels with and without the AU, levels of 255.
     pub outside_max: u8,
     /// Mean change of a colour there.
     pub outside_mean: f64,
@@ -133,8 +133,8 @@ pub struct Spill {
     pub outside_999: u8,
     /// Mean change of a colour where the mask is 50 % and more.
     pub inside_mean: f64,
-    /// Greatest change of another region's mask, 0–1; 0 when they stay the same to the bit.
-    pub other_masks_max: f32,
+    /// Greatest change of a colour where the mask is below 2 %.
+    pub faint_max: u8,
 }
 
 /// The decoupling protocol.
@@ -146,8 +146,8 @@ pub struct Decoupling {
     pub outside_max: u8,
     /// Mean over AUs of the mean change outside.
     pub outside_mean: f64,
-    /// The greatest change of another region's mask.
-    pub other_masks_max: f32,
+    /// 99.9 % of the colours outside change by no more than this, for every AU.
+    pub outside_999: u8,
 }
 
 #[cfg(test)]

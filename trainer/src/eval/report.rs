@@ -250,17 +250,18 @@ fn write_control(page: &mut String, control: &Control) {
 fn write_decoupling(page: &mut String, decoupling: &Decoupling) {
     let _ = writeln!(
         page,
-        "<h2>Decoupling</h2><p>Each AU goes from neutral to its strongest; changes where its region's mask is below 2 % are spill. Greatest change {} levels of 255, mean {:.4}; other regions' masks change by at most {:.4}.</p><table><tr><th>AU</th><th>region</th><th>greatest outside</th><th>99.9 % outside</th><th>mean outside</th><th>mean inside</th></tr>",
-        decoupling.outside_max, decoupling.outside_mean, decoupling.other_masks_max
+        "<h2>Decoupling</h2><p>Each AU goes from neutral to its strongest; changes where its region's mask is 0 are spill. Greatest change {} levels of 255, 99.9 % of the colours at most {}, mean {:.4}.</p><table><tr><th>AU</th><th>region</th><th>greatest outside</th><th>99.9 % outside</th><th>greatest, mask below 2 %</th><th>mean outside</th><th>mean inside</th></tr>",
+        decoupling.outside_max, decoupling.outside_999, decoupling.outside_mean
     );
     for u in &decoupling.units {
         let _ = writeln!(
             page,
-            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.4}</td><td>{:.2}</td></tr>",
+            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.4}</td><td>{:.2}</td></tr>",
             u.unit,
             escaped(&u.region),
             u.outside_max,
             u.outside_999,
+            u.faint_max,
             u.outside_mean,
             u.inside_mean
         );

@@ -27,8 +27,10 @@ const FPS: f64 = 25.0;
 const REST: (usize, usize) = (12, 2);
 /// The tracker sees pictures enlarged to this many times the fitted size.
 const ENLARGED: u32 = 2;
-/// Masks below this count as outside.
-const OUTSIDE: f32 = 0.02;
+/// Masks below this are 0 of 255 levels: outside.
+const OUTSIDE: f32 = 0.5 / 255.0;
+/// Masks below this hardly count.
+const FAINT: f32 = 0.02;
 
 /// How AUs are swept.
 #[derive(Clone, Debug)]
@@ -276,19 +278,23 @@ pub fn decoupling(avatar: &Avatar, folder: &Path, reporter: &dyn Reporter) -> Re
     Ok(Decoupling {
         outside_max: units.iter().map(|u| u.outside_max).max().unwrap_or(0),
         outside_mean: units.iter().map(|u| u.outside_mean).sum::<f64>() / units.len() as f64,
-        other_masks_max: units.iter().map(|u| u.other_masks_max).fold(0.0, f32::max),
+        outside_999: units.iter().map(|u| u.outside_999).max().unwrap_or(0),
         units,
     })
 }
 
 fn spill(rest: &Render, edited: &Render, region: usize) -> Spill {
     let mut outside = [0u64; 256];
+    let mut faint_max = 0;
     let (mut inside_sum, mut inside_count) = (0.0, 0usize);
     let (a, b) = (rest.rgb.as_raw().as_chunks::<3>().0, edited.rgb.as_raw().as_chunks::<3>().0);
     for (i, (a, b)) in a.iter().zip(b).enumerate() {
         let mask = rest.masks[region][i].max(edited.masks[region][i]);
         for (a, b) in a.iter().zip(b) {
             let change = a.abs_diff(*b);
+            if mask < FAINT {
+                faint_max = change.max(faint_max);
+            }
             if mask < OUTSIDE {
                 outside[usize::from(change)] += 1;
             } else if mask >= 0.5 {
@@ -303,9 +309,6 @@ fn spill(rest: &Render, edited: &Render, region: usize) -> Spill {
         seen += n;
         seen as f64 >= 0.999 * count as f64
     });
-    let others = (0..rest.masks.len()).filter(|n| *n != region);
-    let other_masks_max =
-        others.flat_map(|n| rest.masks[n].iter().zip(&edited.masks[n]).map(|(a, b)| (a - b).abs())).fold(0.0, f32::max);
     Spill {
         unit: String::new(),
         region: String::new(),
@@ -313,7 +316,7 @@ fn spill(rest: &Render, edited: &Render, region: usize) -> Spill {
         outside_mean: outside.iter().enumerate().map(|(v, n)| v as f64 * *n as f64).sum::<f64>() / count.max(1) as f64,
         outside_999: outside_999.unwrap_or(0) as u8,
         inside_mean: inside_sum / inside_count.max(1) as f64,
-        other_masks_max,
+        faint_max,
     }
 }
 
@@ -376,11 +379,12 @@ mod tests {
         edited.rgb.put_pixel(3, 1, image::Rgb([200, 128, 128]));
         let clean = spill(&rest, &edited, 1);
         assert_eq!((clean.outside_max, clean.outside_999), (0, 0));
-        assert!(clean.inside_mean > 0.0 && clean.other_masks_max == 0.0);
+        assert!(clean.inside_mean > 0.0 && clean.faint_max == 0);
         edited.rgb.put_pixel(3, 8, image::Rgb([128, 131, 128]));
-        edited.masks[0][7] = 0.25;
+        edited.rgb.put_pixel(4, 8, image::Rgb([128, 128, 137]));
+        edited.masks[1][84] = 0.01;
         let spilt = spill(&rest, &edited, 1);
-        assert_eq!((spilt.outside_max, spilt.other_masks_max), (3, 0.25));
-        assert!((spilt.outside_mean - 3.0 / 150.0).abs() < 1e-12);
+        assert_eq!((spilt.outside_max, spilt.faint_max), (3, 9));
+        assert!((spilt.outside_mean - 3.0 / 147.0).abs() < 1e-12);
     }
 }
