@@ -2,5 +2,6 @@
 
 pub mod control;
 pub mod evaluate;
+pub mod export;
 pub mod render;
 pub mod transfer;

@@ -225,7 +225,9 @@ fn bake_view(
                 let (c, d) = (a + width, b + width);
                 for corners in [[a, c, b], [b, c, d]] {
                     let whole = corners.iter().all(|&i| vertex_of[i] != u32::MAX);
-                    if whole && !(far(corners[0], corners[1]) || far(corners[1], corners[2]) || far(corners[0], corners[2])) {
+                    if whole
+                        && !(far(corners[0], corners[1]) || far(corners[1], corners[2]) || far(corners[0], corners[2]))
+                    {
                         baked.triangles.extend(corners.map(|i| vertex_of[i]));
                     }
                 }
