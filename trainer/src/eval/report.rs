@@ -64,7 +64,7 @@ impl Report<'_> {
 
 /// Every view's numbers, one row each.
 pub fn csv(evaluation: &Evaluation) -> String {
-    let names: BTreeSet<String> = evaluation.views.iter().flat_map(|v| v.numbers()).map(|(n, _)| n).collect();
+    let names: BTreeSet<String> = evaluation.views.iter().flat_map(super::ViewScore::numbers).map(|(n, _)| n).collect();
     let parts: BTreeSet<&String> = evaluation.views.iter().flat_map(|v| v.parts_psnr_db.keys()).collect();
     let mut text = String::from("id,kind");
     for name in &names {

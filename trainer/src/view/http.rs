@@ -236,9 +236,9 @@ impl<'a> Site<'a> {
         let Some(file) = (1..10_000).map(|n| folder.join(format!("path_{n:03}.toml"))).find(|f| !f.exists()) else {
             return text(500, "there are too many paths in this run");
         };
-        match path.to_toml().map(|text| atomic::write_file(&file, text.as_bytes())) {
-            Ok(Ok(())) => json(&serde_json::json!({ "file": file.display().to_string() })),
-            Ok(Err(e)) => text(500, &e.to_string()),
+        let written = path.to_toml().and_then(|text| atomic::write_file(&file, text.as_bytes()));
+        match written {
+            Ok(()) => json(&serde_json::json!({ "file": file.display().to_string() })),
             Err(e) => text(500, &e.to_string()),
         }
     }

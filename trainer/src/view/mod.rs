@@ -86,7 +86,7 @@ fn token() -> Result<String> {
         message: format!("the system gives no random numbers: {e}"),
         hint: String::new(),
     })?;
-    Ok(bytes.iter().map(|b| format!("{b:02x}")).collect())
+    Ok(format!("{:032x}", u128::from_le_bytes(bytes)))
 }
 
 /// The name of a folder for people.

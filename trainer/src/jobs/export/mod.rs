@@ -186,9 +186,9 @@ fn bake_view(
     let first = baked.positions.len();
     let mut vertex_of = vec![u32::MAX; width * height];
     let mut pixels: Vec<(usize, DVec3)> = Vec::new();
-    for i in 0..width * height {
+    for (i, vertex) in vertex_of.iter_mut().enumerate() {
         if let (Some(direction), true) = (ray(i), rest.depth[i] > 0.0) {
-            vertex_of[i] = (first + pixels.len()) as u32;
+            *vertex = (first + pixels.len()) as u32;
             pixels.push((i, direction.normalize()));
         }
     }
@@ -244,10 +244,10 @@ impl HalfWay {
         if change < 1.0 {
             return;
         }
-        let mixed = |c: usize| srgb((linear(rest, i)[c] + linear(full, i)[c]) / 2.0);
+        let mixed = |c: usize| srgb(f32::midpoint(linear(rest, i)[c], linear(full, i)[c]));
         self.levels += (0..3).map(|c| (levels(half, c) - mixed(c)).abs()).sum::<f64>() / 3.0;
         if half.depth[i] > 0.0 && full.depth[i] > 0.0 {
-            self.mm += f64::from((half.depth[i] - (rest.depth[i] + full.depth[i]) / 2.0).abs()) * 1e3;
+            self.mm += f64::from((half.depth[i] - f32::midpoint(rest.depth[i], full.depth[i])).abs()) * 1e3;
         }
         self.count += 1;
     }
