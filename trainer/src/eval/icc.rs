@@ -22,18 +22,20 @@ pub fn icc(ratings: &[Vec<f64>]) -> Option<Icc> {
         return None;
     }
     let (targets, raters) = (n as f64, k as f64);
-    // Centred first: large offsets would cancel.
+    // Residuals are formed one by one: differences of large sums of squares would cancel.
     let grand = ratings.iter().flatten().sum::<f64>() / (targets * raters);
-    let centred: Vec<Vec<f64>> = ratings.iter().map(|r| r.iter().map(|v| v - grand).collect()).collect();
-    let total: f64 = centred.iter().flatten().map(|v| v * v).sum();
-    let square_mean = |sum: f64, count: f64| sum * sum / count;
-    let between: f64 = centred.iter().map(|r| square_mean(r.iter().sum(), raters)).sum();
-    let columns: f64 = (0..k).map(|c| square_mean(centred.iter().map(|r| r[c]).sum(), targets)).sum();
+    let rows: Vec<f64> = ratings.iter().map(|r| r.iter().sum::<f64>() / raters - grand).collect();
+    let columns: Vec<f64> = (0..k).map(|c| ratings.iter().map(|r| r[c]).sum::<f64>() / targets - grand).collect();
+    let squares = |values: &[f64]| values.iter().map(|v| v * v).sum::<f64>();
+    let (between, across) = (raters * squares(&rows), targets * squares(&columns));
+    let residual =
+        |(i, r): (usize, &Vec<f64>)| (0..k).map(|c| (r[c] - grand - rows[i] - columns[c]).powi(2)).sum::<f64>();
+    let error: f64 = ratings.iter().enumerate().map(residual).sum();
     let ms_targets = between / (targets - 1.0);
-    let ms_within = (total - between) / (targets * (raters - 1.0));
-    let ms_raters = columns / (raters - 1.0);
-    let ms_error = (total - between - columns) / ((targets - 1.0) * (raters - 1.0));
-    if total <= f64::EPSILON * targets * raters * grand.abs().max(1.0).powi(2) {
+    let ms_within = (error + across) / (targets * (raters - 1.0));
+    let ms_raters = across / (raters - 1.0);
+    let ms_error = error / ((targets - 1.0) * (raters - 1.0));
+    if between + across + error <= f64::EPSILON * targets * raters * grand.abs().max(1.0).powi(2) {
         return None;
     }
     Some(Icc {

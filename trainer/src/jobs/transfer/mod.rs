@@ -354,7 +354,7 @@ mod tests {
     #[test]
     fn pictures_stand_on_frames_or_between_them() {
         let fewer = slots(&driver(120.0, 121), 12.0);
-        assert_eq!(fewer.len(), 11);
+        assert_eq!(fewer.len(), 13);
         assert_eq!((fewer[1].id.as_str(), fewer[1].driver_frame), ("000010", Some(10)));
         let more = slots(&driver(10.0, 11), 25.0);
         assert_eq!(more.len(), 26);
