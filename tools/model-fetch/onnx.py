@@ -26,7 +26,8 @@ def field(number, value):
 
 
 def tensor(name, shape, values, kind=FLOAT):
-    raw = struct.pack(f"<{len(values)}{'f' if kind == FLOAT else 'q'}", *values)
+    """`values`: numbers, or their bytes."""
+    raw = values if isinstance(values, bytes) else struct.pack(f"<{len(values)}{'f' if kind == FLOAT else 'q'}", *values)
     return b"".join(field(1, d) for d in shape) + field(2, kind) + field(8, name) + field(9, raw)
 
 
@@ -37,7 +38,8 @@ def attribute(name, value):
 
 
 def value_info(name, shape):
-    dims = b"".join(field(1, field(1, d)) for d in shape)
+    # A size that is a word may be anything.
+    dims = b"".join(field(1, field(2 if isinstance(d, str) else 1, d)) for d in shape)
     return field(1, name) + field(2, field(1, field(1, FLOAT) + field(2, dims)))
 
 
@@ -51,6 +53,10 @@ class Graph:
         name = f"c{len(self.constants)}"
         self.constants.append(tensor(name, shape, values, kind))
         return name
+
+    def raw(self, shape, data):
+        """Numbers as the bytes they are stored in."""
+        return self.constant(shape, bytes(data))
 
     def numbers(self, values):
         return self.constant([len(values)], values, INT64)

@@ -26,12 +26,14 @@ pub mod loss;
 pub mod mlp;
 pub mod model;
 pub mod path;
+pub mod presets;
 pub mod sampling;
 pub mod saved;
 pub mod schedule;
 pub mod se3;
 pub mod space;
 pub mod studio;
+pub mod view;
 pub mod volume;
 
 pub use avatar::Avatar;

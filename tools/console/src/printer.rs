@@ -79,6 +79,11 @@ impl Console {
         }
     }
 
+    /// Where a program that goes on running can be reached: on stderr, whatever was asked for otherwise.
+    pub fn address(&self, url: &str) {
+        self.progress.print(&format!("open {url}   (Ctrl-C ends it)"));
+    }
+
     /// A line for people on stderr, with `-v` only.
     pub fn verbose(&self, text: &str) {
         if self.verbose > 0 {

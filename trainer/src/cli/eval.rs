@@ -1,21 +1,29 @@
 //! `trainer eval`.
 
-use std::path::PathBuf;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
 
 use risorius_console::{Console, Failure};
 use risorius_formats::pose_report::write_json;
 use risorius_formats::views::{View, ViewCamera, ViewList};
+use risorius_formats::{ActionUnit, Warning};
+use serde::Serialize;
 
 use super::{DeviceArgs, SkipArgs, need};
 use crate::avatar::Avatar;
+use crate::data::read_rgb;
 use crate::error::TrainerError;
-use crate::jobs::render::{Judged, evaluate};
+use crate::eval::control::{Control, Decoupling};
+use crate::eval::report::{self, Report};
+use crate::eval::{Evaluation, Lpips, LpipsNetwork, lpips};
+use crate::jobs::control::{ControlSettings, control, control_csv, decoupling, default_tracker, write_text};
+use crate::jobs::evaluate::{Judged, evaluate};
 use crate::studio::Look;
 
 /// Options of `trainer eval`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  trainer eval runs/ada --views test/views.json\n  trainer eval runs/ada\n  trainer eval runs/ada --views test/views.json --renders renders"
+    after_help = "Examples:\n  trainer eval runs/ada --views test/views.json\n  trainer eval runs/ada                                  the dataset's validation frames: the interpolation protocol where it was built with every other frame\n  trainer eval runs/ada --views test/views.json --renders renders\n  trainer eval runs/ada --views test/views.json --lpips alex --control --decoupling\n\nWrites eval.json, views.csv and report.html into RUN/eval, and control.csv with `--control`."
 )]
 pub(super) struct EvalArgs {
     /// The run's folder
@@ -29,41 +37,183 @@ pub(super) struct EvalArgs {
     /// Judge the baked avatar (see `trainer render --baked`)
     #[arg(long)]
     baked: bool,
+    /// LPIPS networks: alex, vgg or none; may be repeated [default: those that are fetched]
+    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = ["alex", "vgg", "none"])]
+    lpips: Vec<String>,
+    /// Also sweep each AU, have `tracker run` read the renders again, and report ICC and cross-talk
+    #[arg(long)]
+    control: bool,
+    /// Levels of a sweep, each on the way up and down [default: 11]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=101), requires = "control")]
+    control_steps: Option<u32>,
+    /// Views that AUs are swept in: the avatar's own, then to its sides [default: 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=5), requires = "control")]
+    control_views: Option<u32>,
+    /// AUs that the tracker can read, for a mean over them [default: all]
+    #[arg(long, value_name = "AU12,…", value_delimiter = ',', requires = "control")]
+    readable: Vec<ActionUnit>,
+    /// Also measure what each AU changes outside its region's mask
+    #[arg(long)]
+    decoupling: bool,
+    /// Only `--control` and `--decoupling`, no comparison with true images
+    #[arg(long, conflicts_with_all = ["views", "renders"])]
+    no_views: bool,
+    /// Where results go [default: RUN/eval]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Folder with the networks of LPIPS and of the tracker [default: where `tools/models` puts them]
+    #[arg(long, value_name = "DIR")]
+    models: Option<PathBuf>,
+    /// The program `tracker` [default: the one beside this program]
+    #[arg(long, value_name = "FILE")]
+    tracker: Option<PathBuf>,
     #[command(flatten)]
     skips: SkipArgs,
     #[command(flatten)]
     device: DeviceArgs,
 }
 
+/// All that was measured: the scores stand at the top level.
+#[derive(Serialize)]
+struct Document {
+    #[serde(flatten)]
+    evaluation: Option<Evaluation>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    control: Option<Control>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    decoupling: Option<Decoupling>,
+    report: PathBuf,
+}
+
 pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     need(&args.run, "a run made by `trainer fit`")?;
-    let (views, list_path) = match &args.views {
-        Some(path) => (ViewList::read(path)?, path.clone()),
-        None => validation_views(&args.run)?,
-    };
-    let folder = args.run.join("eval");
-    let evaluation = if let Some(renders) = &args.renders {
-        evaluate(&views, &list_path, Judged::Folder(renders), console)?
-    } else {
-        let avatar = Avatar::open(&args.run, &args.device.device()?)?;
-        let look = Look { skips: args.skips.skips()?, baked: args.baked, full: false };
-        evaluate(&views, &list_path, Judged::Avatar(&avatar, look, &folder.join("renders")), console)?
-    };
-    write_json(folder.join("eval.json"), &evaluation)?;
-    let row = |name: &str, psnr: f64| format!("{name:>30}  {psnr:6.2} dB");
-    let mut lines = Vec::new();
-    for (kind, parts) in &evaluation.mean_parts_psnr_db {
-        lines.extend(parts.iter().map(|(part, psnr)| row(&format!("{kind}: {part}"), *psnr)));
+    if args.no_views && !(args.control || args.decoupling) {
+        return Err(Failure::usage("nothing to do: `--no-views` goes with `--control` or `--decoupling`"));
     }
-    lines.extend(evaluation.mean_psnr_db_by_kind.iter().map(|(kind, psnr)| row(kind, *psnr)));
-    lines.push(format!("{}  ({} views)", row("mean PSNR", evaluation.mean_psnr_db), evaluation.views.len()));
-    let human = lines.join("\n");
-    console.finish(&evaluation, &human);
+    let views = match (&args.views, args.no_views) {
+        (_, true) => None,
+        (Some(path), _) => Some((ViewList::read(path)?, path.clone())),
+        (None, _) => Some(validation_views(&args.run)?),
+    };
+    let folder = args.out.clone().unwrap_or_else(|| args.run.join("eval"));
+    let models = args.models.clone().unwrap_or_else(lpips::default_dir);
+    let mut networks = if views.is_some() { open_networks(args, &models, console)? } else { Vec::new() };
+    let avatar = if args.renders.is_none() || args.control || args.decoupling {
+        Some(Avatar::open(&args.run, &args.device.device()?)?)
+    } else {
+        None
+    };
+    let renders = args.renders.clone().unwrap_or_else(|| folder.join("renders"));
+    let evaluation = match (&views, &avatar) {
+        (None, _) => None,
+        (Some((views, list)), Some(avatar)) if args.renders.is_none() => {
+            let look = Look { skips: args.skips.skips()?, baked: args.baked, full: false };
+            Some(evaluate(views, list, Judged::Avatar(avatar, look, &renders), &mut networks, console)?)
+        }
+        (Some((views, list)), _) => Some(evaluate(views, list, Judged::Folder(&renders), &mut networks, console)?),
+    };
+    let decoupled = match &avatar {
+        Some(avatar) if args.decoupling => Some(decoupling(avatar, &folder.join("decoupling"), console)?),
+        _ => None,
+    };
+    let controlled = match &avatar {
+        Some(avatar) if args.control => {
+            let settings = ControlSettings {
+                steps: args.control_steps.unwrap_or(11) as usize,
+                views: args.control_views.unwrap_or(1) as usize,
+                readable: args.readable.clone(),
+                tracker: args.tracker.clone().unwrap_or_else(default_tracker),
+                models: args.models.clone(),
+            };
+            Some(control(avatar, &settings, &folder.join("control"), console)?)
+        }
+        _ => None,
+    };
+    if let Some(control) = &controlled {
+        write_text(&folder.join("control.csv"), &control_csv(control))?;
+    }
+    if let Some(evaluation) = &evaluation {
+        write_text(&folder.join("views.csv"), &report::csv(evaluation))?;
+    }
+    let name = args.run.canonicalize().ok().and_then(|p| Some(p.file_name()?.to_string_lossy().into_owned()));
+    let page = Report {
+        name: name.as_deref().unwrap_or("avatar"),
+        evaluation: evaluation.as_ref(),
+        control: controlled.as_ref(),
+        decoupling: decoupled.as_ref(),
+    };
+    let pair = |i: usize| {
+        let (views, list) = views.as_ref()?;
+        let view = views.views.iter().filter(|v| v.image.is_some()).nth(i)?;
+        let truth = list.parent().unwrap_or(Path::new(".")).join(view.image.as_deref()?);
+        Some((read_rgb(&renders.join(format!("{}.png", view.id))).ok()?, read_rgb(&truth).ok()?))
+    };
+    write_text(&folder.join("report.html"), &page.html(pair)?)?;
+    let report = folder.join("report.html");
+    let document = Document { evaluation, control: controlled, decoupling: decoupled, report };
+    write_json(folder.join("eval.json"), &document)?;
+    console.finish(&document, &human(&document));
     Ok(())
 }
 
+fn open_networks(args: &EvalArgs, models: &Path, console: &Console) -> Result<Vec<(LpipsNetwork, Lpips)>, Failure> {
+    use risorius_formats::Reporter as _;
+    let all = [LpipsNetwork::Alex, LpipsNetwork::Vgg];
+    let wanted: Vec<LpipsNetwork> = if args.lpips.is_empty() {
+        let there: Vec<LpipsNetwork> = all.into_iter().filter(|n| Lpips::is_in(models, *n)).collect();
+        if there.is_empty() {
+            let message = "LPIPS is left out: its networks are not here; `tools/models --metrics` fetches them";
+            console.warn(Warning::new("no-lpips", message));
+        }
+        there
+    } else {
+        all.into_iter().filter(|n| args.lpips.iter().any(|l| l == n.name())).collect()
+    };
+    Ok(wanted.into_iter().map(|n| Ok((n, Lpips::open(models, n)?))).collect::<Result<_, TrainerError>>()?)
+}
+
+fn human(document: &Document) -> String {
+    let mut text = String::new();
+    let row = |name: &str, psnr: f64| format!("{name:>30}  {psnr:6.2} dB");
+    if let Some(evaluation) = &document.evaluation {
+        for (kind, parts) in &evaluation.mean_parts_psnr_db {
+            for (part, psnr) in parts {
+                let _ = writeln!(text, "{}", row(&format!("{kind}: {part}"), *psnr));
+            }
+        }
+        for (kind, psnr) in &evaluation.mean_psnr_db_by_kind {
+            let _ = writeln!(text, "{}", row(kind, *psnr));
+        }
+        for (name, value) in evaluation.means.get("all").into_iter().flatten().filter(|(n, _)| *n != "psnr_db") {
+            let unit = if name.ends_with("_mm") { " mm" } else { "" };
+            let _ = writeln!(text, "{:>30}  {value:8.4}{unit}", format!("mean {}", name.trim_end_matches("_mm")));
+        }
+        let _ = writeln!(text, "{}  ({} views)", row("mean PSNR", evaluation.mean_psnr_db), evaluation.views.len());
+    }
+    if let Some(d) = &document.decoupling {
+        let _ = writeln!(
+            text,
+            "{:>30}  {} levels of 255 at most outside an AU's mask, {:.4} on average",
+            "decoupling", d.outside_max, d.outside_mean
+        );
+    }
+    if let Some(c) = &document.control {
+        for u in &c.units {
+            let icc = u.sweep.map_or_else(|| "     –".to_owned(), |i| format!("{:6.3}", i.icc_3_1));
+            let _ = writeln!(text, "{:>30}  {icc}", format!("{} {}", u.unit, u.name));
+        }
+        let _ = writeln!(
+            text,
+            "{:>30}  {:6.3}  (readable AUs {:.3}, cross-talk {:.3})",
+            "mean control ICC(3,1)", c.mean_icc_3_1, c.mean_readable_icc_3_1, c.mean_cross_talk
+        );
+    }
+    let _ = writeln!(text, "{:>30}  {}", "report", document.report.display());
+    text
+}
+
 /// The dataset's held-out frames as a view list: their cameras, their annotated AUs, their images.
-fn validation_views(run: &std::path::Path) -> Result<(ViewList, PathBuf), TrainerError> {
+fn validation_views(run: &Path) -> Result<(ViewList, PathBuf), TrainerError> {
     use risorius_formats::nerfies::{Dataset, rgb_path};
     let manifest = risorius_formats::run::RunManifest::read(run.join("run.json"))?;
     let saved = crate::saved::SavedModel::read(run)?;

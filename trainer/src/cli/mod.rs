@@ -1,10 +1,12 @@
 //! Glue between the command line and the library: what was typed becomes settings, results become text or JSON.
 
 mod eval;
+mod export;
 mod fit;
 mod fit_brick;
 mod render;
 mod transfer;
+mod view;
 
 use std::path::PathBuf;
 
@@ -41,6 +43,10 @@ enum Command {
     Eval(eval::EvalArgs),
     /// Let a second video's expressions drive the avatar
     Transfer(transfer::TransferArgs),
+    /// Write the avatar as glTF with a morph target per AU
+    Export(export::ExportArgs),
+    /// Turn and steer the avatar in a page on this machine
+    View(view::ViewArgs),
 }
 
 /// Runs what was typed.
@@ -50,6 +56,8 @@ pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
         Command::Render(args) => render::run(args, console),
         Command::Eval(args) => eval::run(args, console),
         Command::Transfer(args) => transfer::run(args, console),
+        Command::Export(args) => export::run(args, console),
+        Command::View(args) => view::run(args, console),
     }
 }
 

@@ -3,86 +3,197 @@
 use std::path::PathBuf;
 
 use risorius_console::{Console, Failure};
+use risorius_formats::curves::interpolate;
 use risorius_formats::views::ViewList;
 use risorius_formats::{ActionUnit, Camera};
+use serde::Serialize;
 
 use super::{DeviceArgs, SkipArgs, need, parse_au};
 use crate::avatar::Avatar;
-use crate::jobs::render::{Shot, Sink, render, shots_of_views, warn_unknown};
-use crate::path;
+use crate::jobs::render::{Maps, Shot, Sink, render, shots_of_views, warn_unknown};
+use crate::jobs::transfer::Driver;
+use crate::path::{self, CameraPath};
+use crate::presets::{PRESETS, Preset};
 use crate::studio::Look;
 
 /// Options of `trainer render`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  trainer render runs/ada --views test/views.json --out renders\n  trainer render runs/ada --au AU12=3.5 --au AU02=2 --out smile\n  trainer render runs/ada --au AU12=4 --orbit 60 --video orbit.mp4"
+    after_help = "Examples:\n  trainer render runs/ada --views test/views.json --out renders\n  trainer render runs/ada --au AU12=3.5 --au AU02=2 --out smile\n  trainer render runs/ada --preset surprise --orbit 60 --video orbit.mp4\n  trainer render runs/ada --path runs/ada/paths/path_001.toml --out frames --depth --alpha\n  trainer render runs/ada --curves keys.csv --spiral 100 --out frames --resume\n\nA path is a TOML file with `[[key]]`s: `secs`, `orbit = { yaw_deg, pitch_deg, zoom, shift_x, shift_y }`, `aus = { AU12 = 4 }`, `preset = \"smile\"`. Curves are a table `secs,AU12,…`, read at every picture's time."
 )]
 pub(super) struct RenderArgs {
     /// The run's folder
     run: PathBuf,
     /// Cameras and AUs to render
-    #[arg(long, value_name = "VIEWS.json", conflicts_with_all = ["au", "orbit"])]
+    #[arg(long, value_name = "VIEWS.json", conflicts_with_all = ["au", "orbit", "spiral", "path", "preset", "curves"])]
     views: Option<PathBuf>,
     /// An AU's intensity 0-5; may be repeated, the others stay neutral
     #[arg(long, value_name = "AU12=3.5", value_parser = parse_au)]
     au: Vec<(ActionUnit, f32)>,
+    /// An expression by its name: neutral, smile, surprise, sadness, anger, fear, disgust, contempt, "eyes closed", "open mouth"
+    #[arg(long, value_name = "NAME", value_parser = parse_preset)]
+    preset: Option<&'static Preset>,
     /// Views on an ellipse around the head
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", conflicts_with_all = ["spiral", "path"])]
     orbit: Option<usize>,
+    /// Views that wind outwards from the middle
+    #[arg(long, value_name = "N", conflicts_with = "path")]
+    spiral: Option<usize>,
+    /// Turns of the spiral [default: 3]
+    #[arg(long, value_name = "N", requires = "spiral")]
+    turns: Option<f64>,
+    /// Keys of cameras and expressions, written by hand or saved from the viewer
+    #[arg(long, value_name = "PATH.toml")]
+    path: Option<PathBuf>,
+    /// AU curves over time, as CSV
+    #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["au", "preset"])]
+    curves: Option<PathBuf>,
     /// A folder for the pictures
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// A video of the pictures
     #[arg(long, value_name = "OUT.mp4")]
     video: Option<PathBuf>,
-    /// Frame rate of the video [default: 15]
+    /// Pictures per second [default: the path's, else 15]
     #[arg(long, value_name = "FPS")]
     fps: Option<f64>,
     /// Render every pixel, also where the view is finer than the images that were fitted
     #[arg(long)]
     full: bool,
     /// Bake the expression first: many times faster for many views, with an error that `eval --baked` measures
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["masks", "maps"])]
     baked: bool,
-    /// Also write depth (16-bit PNG, thousandths of a world unit) and region masks (red, green, blue) of every view
-    #[arg(long, conflicts_with = "baked", requires = "out")]
+    /// Also write depth of every view: 16-bit PNG, thousandths of a world unit along the ray
+    #[arg(long, requires = "out")]
+    depth: bool,
+    /// Also write region masks of every view, as red, green and blue
+    #[arg(long, requires = "out")]
+    masks: bool,
+    /// Depth and masks
+    #[arg(long, requires = "out")]
     maps: bool,
+    /// Make everything but the head transparent
+    #[arg(long, requires = "out")]
+    alpha: bool,
+    /// Keep the pictures that are in the folder from a render that was stopped
+    #[arg(long, requires = "out")]
+    resume: bool,
+    /// Say what would be rendered, without doing it
+    #[arg(long)]
+    dry_run: bool,
     #[command(flatten)]
     skips: SkipArgs,
     #[command(flatten)]
     device: DeviceArgs,
 }
 
+fn parse_preset(text: &str) -> Result<&'static Preset, String> {
+    Preset::named(text).ok_or_else(|| {
+        let names: Vec<&str> = PRESETS.iter().map(|p| p.name).collect();
+        format!("presets: {}", names.join(", "))
+    })
+}
+
+#[derive(Serialize)]
+struct Plan {
+    pictures: usize,
+    width: u32,
+    height: u32,
+    fps: f64,
+}
+
 pub(super) fn run(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     if args.out.is_none() && args.video.is_none() {
         return Err(Failure::usage("nothing to write: give `--out DIR`, `--video OUT.mp4` or both"));
     }
+    if args.fps.is_some_and(|f| !(f.is_finite() && f > 0.0 && f <= 240.0)) {
+        return Err(Failure::usage("`--fps` must be above 0, and at most 240"));
+    }
     need(&args.run, "a run made by `trainer fit`")?;
     let views = args.views.as_ref().map(ViewList::read).transpose()?;
+    let mut keys = args.path.as_ref().map(CameraPath::read).transpose()?;
+    if let (Some(keys), Some(fps)) = (&mut keys, args.fps) {
+        keys.fps = fps;
+    }
+    let curves = args.curves.as_ref().map(|path| Driver::of_table(path, 0.0, console)).transpose()?;
     let avatar = Avatar::open(&args.run, &args.device.device()?)?;
+    let fps = keys.as_ref().map_or(args.fps.unwrap_or(15.0), |k| k.fps);
     let shots = match &views {
         Some(views) => shots_of_views(&avatar, views, console),
-        None => shots_of_options(&avatar, args, console),
+        None => shots_of_options(&avatar, args, keys.as_ref(), curves.as_ref(), fps, console),
     };
-    let fps = args.fps.unwrap_or(15.0);
-    let look = Look { skips: args.skips.skips()?, baked: args.baked, full: args.full };
-    let sink =
-        Sink { folder: args.out.clone(), video: args.video.clone().map(|path| (path, fps)), look, maps: args.maps };
-    let summary = render(&avatar, &shots, &sink, console, |_, picture| Ok(picture))?;
-    let human =
-        format!("{} pictures in {:.1} s, {:.2} s each", summary.rendered, summary.seconds, summary.seconds_per_picture);
+    if args.dry_run {
+        let size = shots.first().map_or((0, 0), |s| (s.camera.intrinsics.width, s.camera.intrinsics.height));
+        let plan = Plan { pictures: shots.len(), width: size.0, height: size.1, fps };
+        let human = format!("{} pictures of {}×{} pixels; nothing was written", plan.pictures, plan.width, plan.height);
+        console.finish(&plan, &human);
+        return Ok(());
+    }
+    let sink = Sink {
+        folder: args.out.clone(),
+        video: args.video.clone().map(|path| (path, fps)),
+        look: Look { skips: args.skips.skips()?, baked: args.baked, full: args.full },
+        maps: Maps { depth: args.depth || args.maps, masks: args.masks || args.maps, alpha: args.alpha },
+        resume: args.resume,
+    };
+    let summary = render(&avatar, &shots, &sink, console)?;
+    let kept = if summary.kept > 0 { format!(", {} kept", summary.kept) } else { String::new() };
+    let human = format!(
+        "{} pictures in {:.1} s, {:.2} s each{kept}",
+        summary.rendered, summary.seconds, summary.seconds_per_picture
+    );
     console.finish(&summary, &human);
     Ok(())
 }
 
-fn shots_of_options(avatar: &Avatar, args: &RenderArgs, console: &Console) -> Vec<Shot> {
-    let (attributes, unknown) = avatar.attributes_from_intensities(&args.au.iter().copied().collect());
-    warn_unknown(&unknown.into_iter().collect(), console);
-    let reference = Camera::from(&avatar.saved.default_camera);
-    let cameras = match args.orbit {
-        Some(count) => path::orbit(&reference, avatar.saved.center_in_world, avatar.saved.orbit_rad, count),
-        None => vec![reference],
+/// What cameras and expressions say together: the longer of the two lists sets the number of pictures, the shorter one
+/// stays at its last.
+fn shots_of_options(
+    avatar: &Avatar,
+    args: &RenderArgs,
+    keys: Option<&CameraPath>,
+    curves: Option<&Driver>,
+    fps: f64,
+    console: &Console,
+) -> Vec<Shot> {
+    let mut unknown = std::collections::BTreeSet::new();
+    let mut attributes = |aus: &std::collections::BTreeMap<ActionUnit, f32>| {
+        let (attributes, missing) = avatar.attributes_from_intensities(aus);
+        unknown.extend(missing);
+        attributes
     };
-    let shot = |(i, camera)| Shot { id: format!("{i:03}"), camera, attributes: attributes.clone() };
-    cameras.into_iter().enumerate().map(shot).collect()
+    let mut fixed = args.preset.map(Preset::intensities).unwrap_or_default();
+    fixed.extend(args.au.iter().copied());
+    let reference = Camera::from(&avatar.saved.default_camera);
+    let (center, extent) = (avatar.saved.center_in_world, avatar.saved.orbit_rad);
+    let moments = keys.map(CameraPath::moments).unwrap_or_default();
+    let mut cameras = match (args.orbit, args.spiral) {
+        (Some(count), _) => path::orbit(&reference, center, extent, count),
+        (None, Some(count)) => path::spiral(&reference, center, extent, args.turns.unwrap_or(3.0), count),
+        (None, None) => moments.iter().filter_map(|m| Some(m.orbit?.camera(&reference, center))).collect(),
+    };
+    if cameras.is_empty() {
+        cameras.push(reference);
+    }
+    let mut faces: Vec<Vec<f32>> = moments.iter().filter_map(|m| Some(attributes(m.aus.as_ref()?))).collect();
+    if let Some(curves) = curves {
+        let last = curves.times_secs.last().copied().unwrap_or(0.0);
+        let at = |secs: f64| {
+            let value = |values: &Vec<f32>| interpolate(&curves.times_secs, values, secs);
+            curves.intensities.iter().map(|(unit, values)| (*unit, value(values))).collect()
+        };
+        faces = (0..=(last * fps + 1e-6) as usize).map(|i| attributes(&at(i as f64 / fps))).collect();
+    }
+    if faces.is_empty() || !fixed.is_empty() {
+        faces = vec![attributes(&fixed)];
+    }
+    warn_unknown(&unknown, console);
+    let count = cameras.len().max(faces.len()).max(moments.len());
+    (0..count)
+        .map(|i| Shot {
+            id: if count > 999 { format!("{i:06}") } else { format!("{i:03}") },
+            camera: cameras[i.min(cameras.len() - 1)],
+            attributes: faces[i.min(faces.len() - 1)].clone(),
+        })
+        .collect()
 }

@@ -1,4 +1,7 @@
-//! What is done with a fitted avatar: pictures of views, expression transfer.
+//! What is done with a fitted avatar: pictures of views, their scores, what its AUs do, expression transfer.
 
+pub mod control;
+pub mod evaluate;
+pub mod export;
 pub mod render;
 pub mod transfer;

@@ -1,18 +1,18 @@
-//! Renders lists of shots to files, and compares them with the truth.
+//! Renders lists of shots to files. A folder of pictures knows what it is made of (`render.json`), so that a render that was
+//! stopped goes on where it was, and never mixes two lists.
 
 use std::path::{Path, PathBuf};
 
-use image::ImageEncoder as _;
-use image::RgbImage;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder as _, RgbImage};
+use risorius_formats::pose_report::{json_error, write_json};
 use risorius_formats::views::ViewList;
-use risorius_formats::{Camera, FormatError, Reporter, Warning, atomic};
+use risorius_formats::{Camera, FormatError, Reporter, Warning, atomic, hash};
 use risorius_video::Writer;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::avatar::{Avatar, Render};
 use crate::error::{Result, TrainerError};
-use crate::eval::{self, Evaluation, ViewScore};
 use crate::studio::{Look, Studio};
 
 /// One picture to take.
@@ -35,8 +35,32 @@ pub struct Sink {
     pub video: Option<(PathBuf, f64)>,
     /// How pictures are taken.
     pub look: Look,
-    /// Whether `<id>_depth.png` (16 bit, thousandths of a world unit) and `<id>_masks.png` are written as well.
-    pub maps: bool,
+    /// What is written beside pictures.
+    pub maps: Maps,
+    /// Whether pictures that lie in the folder from a render before, of the same list, are kept.
+    pub resume: bool,
+}
+
+/// What is written beside pictures.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Maps {
+    /// `<id>_depth.png`: 16 bit, thousandths of a world unit along the ray, 0 where there is no head.
+    pub depth: bool,
+    /// `<id>_masks.png`: the first three regions as red, green, blue.
+    pub masks: bool,
+    /// Whether pictures are RGBA, and only the head is opaque.
+    pub alpha: bool,
+}
+
+/// `render.json`: what a folder of pictures is made of.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Made {
+    version: u32,
+    /// Hash over ids, cameras, attributes, and how pictures are taken.
+    shots_sha256: String,
+    pictures: usize,
+    /// Whether all of them are there.
+    finished: bool,
 }
 
 /// What was rendered.
@@ -44,6 +68,8 @@ pub struct Sink {
 pub struct RenderSummary {
     /// Pictures rendered now.
     pub rendered: usize,
+    /// Pictures that were there already.
+    pub kept: usize,
     /// Wall seconds.
     pub seconds: f64,
     /// Seconds per picture.
@@ -78,36 +104,43 @@ pub fn warn_unknown(unknown: &std::collections::BTreeSet<risorius_formats::Actio
     }
 }
 
-/// Renders every shot; `adorn` may change or extend a picture before it is written.
-pub fn render(
-    avatar: &Avatar,
-    shots: &[Shot],
-    sink: &Sink,
-    reporter: &dyn Reporter,
-    mut adorn: impl FnMut(usize, RgbImage) -> Result<RgbImage>,
-) -> Result<RenderSummary> {
+/// Renders every shot.
+pub fn render(avatar: &Avatar, shots: &[Shot], sink: &Sink, reporter: &dyn Reporter) -> Result<RenderSummary> {
     let started = std::time::Instant::now();
     let mut writer: Option<Writer> = None;
     let mut studio = Studio::new(avatar, sink.look);
+    let made = sink.folder.as_ref().map(|folder| begin(folder, avatar, shots, sink)).transpose()?;
+    let mut kept = 0;
     reporter.stage("render", Some(shots.len() as u64));
     for (i, shot) in shots.iter().enumerate() {
         if reporter.cancelled() {
             return Err(TrainerError::Interrupted { done: format!("{i} of {} pictures", shots.len()) });
         }
-        let (picture, maps) = studio.picture_and_maps(&shot.camera, &shot.attributes, reporter)?;
-        let picture = adorn(i, picture)?;
-        if let Some(folder) = &sink.folder {
-            write_png(&folder.join(format!("{}.png", shot.id)), &picture)?;
-            if sink.maps {
-                write_maps(folder, &shot.id, &maps)?;
+        let there = sink.folder.as_ref().filter(|folder| sink.resume && is_whole(folder, &shot.id, sink.maps));
+        let picture = if let Some(folder) = there {
+            kept += 1;
+            // Only a video needs it again.
+            sink.video.as_ref().map(|_| crate::data::read_rgb(&folder.join(format!("{}.png", shot.id)))).transpose()?
+        } else {
+            let (picture, render) = studio.picture_and_maps(&shot.camera, &shot.attributes, reporter)?;
+            if let Some(folder) = &sink.folder {
+                write_maps(folder, &shot.id, &render, sink.maps)?;
+                let path = folder.join(format!("{}.png", shot.id));
+                // Last: a picture that is there has its maps.
+                if sink.maps.alpha {
+                    write_alpha(&path, &picture, &render)?;
+                } else {
+                    write_png(&path, &picture)?;
+                }
             }
-        }
-        if let Some((path, fps)) = &sink.video {
+            Some(picture)
+        };
+        if let (Some((path, fps)), Some(picture)) = (&sink.video, &picture) {
             if writer.is_none() {
                 writer = Some(Writer::create(path, picture.width(), picture.height(), *fps)?);
             }
             if let Some(writer) = &mut writer {
-                writer.push(&picture)?;
+                writer.push(picture)?;
             }
         }
         reporter.advance(1);
@@ -115,95 +148,101 @@ pub fn render(
     if let Some(writer) = writer {
         writer.finish()?;
     }
+    if let (Some(folder), Some(made)) = (&sink.folder, made) {
+        write_json(folder.join(MADE), &Made { finished: true, ..made })?;
+    }
     let seconds = started.elapsed().as_secs_f64();
+    let rendered = shots.len() - kept;
     Ok(RenderSummary {
-        rendered: shots.len(),
+        rendered,
+        kept,
         seconds,
-        seconds_per_picture: seconds / shots.len().max(1) as f64,
+        seconds_per_picture: seconds / rendered.max(1) as f64,
         folder: sink.folder.clone(),
         video: sink.video.as_ref().map(|(path, _)| path.clone()),
     })
 }
 
+/// The name of the note in a folder of pictures.
+const MADE: &str = "render.json";
+
+/// Notes what the folder is made of; an error where a render of another list would be gone on with.
+fn begin(folder: &Path, avatar: &Avatar, shots: &[Shot], sink: &Sink) -> Result<Made> {
+    let made = Made { version: 1, shots_sha256: digest(avatar, shots, sink), pictures: shots.len(), finished: false };
+    let path = folder.join(MADE);
+    if sink.resume && path.is_file() {
+        let bytes = std::fs::read(&path).map_err(|e| FormatError::io(&path, "read", &e))?;
+        let before: Made = serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(&path))?;
+        if before.shots_sha256 != made.shots_sha256 {
+            return Err(TrainerError::Run {
+                path: folder.to_owned(),
+                message: "holds pictures of another list, another avatar or other options".to_owned(),
+                hint: "leave `--resume` out to make them anew, or name another folder".to_owned(),
+            });
+        }
+    }
+    write_json(&path, &made)?;
+    Ok(made)
+}
+
+fn digest(avatar: &Avatar, shots: &[Shot], sink: &Sink) -> String {
+    use std::fmt::Write as _;
+    let mut text = format!("{:?} {:?} {:?}\n", avatar.saved.default_camera, avatar.saved.table, sink.maps);
+    let _ = writeln!(text, "{:?}", sink.look);
+    for shot in shots {
+        let _ = writeln!(text, "{} {:?} {:?}", shot.id, shot.camera, shot.attributes);
+    }
+    hash::sha256_of_bytes(text.as_bytes())
+}
+
+fn is_whole(folder: &Path, id: &str, maps: Maps) -> bool {
+    let has = |ending: &str| folder.join(format!("{id}{ending}.png")).is_file();
+    has("") && (!maps.depth || has("_depth")) && (!maps.masks || has("_masks"))
+}
+
 /// Writes depth and masks of a view beside its picture.
-fn write_maps(folder: &Path, id: &str, render: &Render) -> Result<()> {
-    let (width, height) = render.rgb.dimensions();
-    let depth: Vec<u8> =
-        render.depth.iter().flat_map(|d| ((d * 1000.0).round().clamp(0.0, 65535.0) as u16).to_ne_bytes()).collect();
-    let path = folder.join(format!("{id}_depth.png"));
-    write_pixels(&path, &depth, (width, height), image::ExtendedColorType::L16)?;
-    let byte = |n: usize, i: usize| render.masks.get(n).map_or(0, |m| (m[i].clamp(0.0, 1.0) * 255.0).round() as u8);
-    let masks: Vec<u8> = (0..render.depth.len()).flat_map(|i| [byte(0, i), byte(1, i), byte(2, i)]).collect();
-    write_pixels(&folder.join(format!("{id}_masks.png")), &masks, (width, height), image::ExtendedColorType::Rgb8)
+fn write_maps(folder: &Path, id: &str, render: &Render, maps: Maps) -> Result<()> {
+    let size = render.rgb.dimensions();
+    if maps.depth {
+        let level = |d: &f32| ((d * 1000.0).round().clamp(0.0, 65535.0) as u16).to_ne_bytes();
+        let depth: Vec<u8> = render.depth.iter().flat_map(level).collect();
+        write_pixels(&folder.join(format!("{id}_depth.png")), &depth, size, ExtendedColorType::L16)?;
+    }
+    if maps.masks {
+        let byte = |n: usize, i: usize| render.masks.get(n).map_or(0, |m| (m[i].clamp(0.0, 1.0) * 255.0).round() as u8);
+        let masks: Vec<u8> = (0..render.depth.len()).flat_map(|i| [byte(0, i), byte(1, i), byte(2, i)]).collect();
+        write_pixels(&folder.join(format!("{id}_masks.png")), &masks, size, ExtendedColorType::Rgb8)?;
+    }
+    Ok(())
+}
+
+/// Writes the picture with the head alone opaque: where the render, which may be smaller, meets it.
+fn write_alpha(path: &Path, picture: &RgbImage, render: &Render) -> Result<()> {
+    let (width, height) = picture.dimensions();
+    let (small_width, small_height) = render.rgb.dimensions();
+    let head = image::GrayImage::from_fn(small_width, small_height, |x, y| {
+        let met = render.depth[y as usize * small_width as usize + x as usize] > 0.0;
+        image::Luma([if met { 255 } else { 0 }])
+    });
+    let alpha = if (small_width, small_height) == (width, height) {
+        head
+    } else {
+        image::imageops::resize(&head, width, height, image::imageops::FilterType::Triangle)
+    };
+    let pixels = picture.as_raw().as_chunks::<3>().0.iter().zip(alpha.as_raw());
+    let bytes: Vec<u8> = pixels.flat_map(|([r, g, b], a)| [*r, *g, *b, *a]).collect();
+    write_pixels(path, &bytes, (width, height), ExtendedColorType::Rgba8)
 }
 
 /// Writes a PNG, whole or not at all.
 pub fn write_png(path: &Path, image: &RgbImage) -> Result<()> {
-    write_pixels(path, image.as_raw(), image.dimensions(), image::ExtendedColorType::Rgb8)
+    write_pixels(path, image.as_raw(), image.dimensions(), ExtendedColorType::Rgb8)
 }
 
-fn write_pixels(
-    path: &Path,
-    pixels: &[u8],
-    (width, height): (u32, u32),
-    color: image::ExtendedColorType,
-) -> Result<()> {
+fn write_pixels(path: &Path, pixels: &[u8], (width, height): (u32, u32), color: ExtendedColorType) -> Result<()> {
     let mut bytes = Vec::new();
     PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive)
         .write_image(pixels, width, height, color)
         .map_err(|e| TrainerError::Image { path: path.to_owned(), message: e.to_string() })?;
     Ok(atomic::write_file(path, &bytes)?)
-}
-
-/// Where the pictures to be judged come from.
-#[derive(Clone, Copy)]
-pub enum Judged<'a> {
-    /// PNGs that were rendered before.
-    Folder(&'a Path),
-    /// The avatar, rendered now; its pictures are kept in the folder.
-    Avatar(&'a Avatar, Look, &'a Path),
-}
-
-/// Compares pictures with the true images that the list names. Parts of images are judged where the avatar tells them
-/// apart.
-pub fn evaluate(views: &ViewList, list_path: &Path, judged: Judged<'_>, reporter: &dyn Reporter) -> Result<Evaluation> {
-    let base = list_path.parent().unwrap_or(Path::new("."));
-    let with_truth = ViewList { views: views.views.iter().filter(|v| v.image.is_some()).cloned().collect() };
-    let mut studio = match judged {
-        Judged::Avatar(avatar, look, folder) => {
-            Some((avatar, Studio::new(avatar, look), shots_of_views(avatar, &with_truth, reporter), folder))
-        }
-        Judged::Folder(_) => None,
-    };
-    let mut scores = Vec::new();
-    reporter.stage("evaluate", Some(with_truth.views.len() as u64));
-    for (i, view) in with_truth.views.iter().enumerate() {
-        if reporter.cancelled() {
-            return Err(TrainerError::Interrupted { done: format!("{i} of {} views", with_truth.views.len()) });
-        }
-        let path = base.join(view.image.as_deref().unwrap_or(Path::new("")));
-        let truth = crate::data::read_rgb(&path)?;
-        let name = format!("{}.png", view.id);
-        let (picture, parts_psnr_db) = match (&mut studio, judged) {
-            (Some((avatar, studio, shots, folder)), _) => {
-                let shot = &shots[i];
-                let (picture, maps) = studio.picture_and_maps(&shot.camera, &shot.attributes, reporter)?;
-                write_png(&folder.join(name), &picture)?;
-                let parts = eval::score_parts(&picture, &truth, &maps, &avatar.saved.table.regions);
-                (picture, parts)
-            }
-            (None, Judged::Folder(folder) | Judged::Avatar(_, _, folder)) => {
-                (crate::data::read_rgb(&folder.join(name))?, std::collections::BTreeMap::new())
-            }
-        };
-        let psnr_db = eval::score(&picture, &truth, &path)?;
-        scores.push(ViewScore { id: view.id.clone(), kind: view.kind.clone(), psnr_db, parts_psnr_db });
-        reporter.advance(1);
-    }
-    Evaluation::new(scores).ok_or_else(|| {
-        FormatError::new(risorius_formats::ErrorKind::Missing, "names no true image to compare with")
-            .in_file(list_path)
-            .with_hint("a view's `image` names the true picture, relative to the list")
-            .into()
-    })
 }

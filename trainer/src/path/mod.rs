@@ -1,5 +1,11 @@
 //! Camera paths around the head.
 
+mod file;
+mod orbit;
+
+pub use file::{CameraPath, Moment, PathKey};
+pub use orbit::Orbit;
+
 use glam::{DMat3, DVec3};
 use risorius_formats::{Camera, Isometry};
 
@@ -40,6 +46,17 @@ pub fn orbit(reference: &Camera, center: DVec3, extent_rad: [f64; 2], count: usi
         .map(|i| {
             let (sin, cos) = (std::f64::consts::TAU * i as f64 / count.max(1) as f64).sin_cos();
             swing(reference, center, extent_rad[0] * sin, extent_rad[1] * cos)
+        })
+        .collect()
+}
+
+/// `count` cameras that wind outwards from the middle to an ellipse of half angles `extent_rad`, `turns` times around.
+pub fn spiral(reference: &Camera, center: DVec3, extent_rad: [f64; 2], turns: f64, count: usize) -> Vec<Camera> {
+    (0..count)
+        .map(|i| {
+            let t = i as f64 / count.saturating_sub(1).max(1) as f64;
+            let (sin, cos) = (std::f64::consts::TAU * turns * t).sin_cos();
+            swing(reference, center, extent_rad[0] * t * sin, extent_rad[1] * t * cos)
         })
         .collect()
 }

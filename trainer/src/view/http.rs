@@ -1,0 +1,276 @@
+//! Requests and answers.
+
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use image::codecs::jpeg::JpegEncoder;
+use risorius_formats::{Curves, Reporter, atomic};
+use serde::Serialize;
+use tiny_http::{Header, Method, Request, Response};
+
+use super::scene::{FrameRequest, Scene};
+use super::shown_name;
+use crate::avatar::Avatar;
+use crate::error::Result;
+use crate::path::CameraPath;
+use crate::presets::PRESETS;
+
+/// Bytes of a request that are read: a table of curves may be long, anything else is short.
+const MAX_BODY: u64 = 64 << 20;
+
+const PAGE: &str = include_str!("page/index.html");
+const STYLE: &str = include_str!("page/style.css");
+const SCRIPTS: [(&str, &str); 4] = [
+    ("app.js", include_str!("page/app.js")),
+    ("picture.js", include_str!("page/picture.js")),
+    ("player.js", include_str!("page/player.js")),
+    ("panel.js", include_str!("page/panel.js")),
+];
+
+/// An answer: status, type, bytes, further headers.
+type Answer = (u16, &'static str, Vec<u8>, Vec<(&'static str, String)>);
+
+/// What is served.
+pub(super) struct Site<'a> {
+    pub(super) token: String,
+    pub(super) port: u16,
+    avatar: &'a Avatar,
+    run: PathBuf,
+    scene: Scene<'a>,
+    curves: Option<CurvesDocument>,
+    pictures: u64,
+}
+
+/// What the page knows of the avatar.
+#[derive(Serialize)]
+struct Info<'a> {
+    name: String,
+    width: u32,
+    height: u32,
+    regions: &'a [String],
+    aus: Vec<AuInfo>,
+    presets: &'static [crate::presets::Preset],
+    /// Half angles that the training cameras cover, degrees.
+    seen_deg: [f64; 2],
+    curves: Option<&'a CurvesDocument>,
+}
+
+#[derive(Serialize)]
+struct AuInfo {
+    unit: String,
+    name: &'static str,
+    region: usize,
+    neutral: f32,
+    max: f32,
+    active: bool,
+}
+
+/// Curves for the page's player.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct CurvesDocument {
+    name: String,
+    units: Vec<String>,
+    times_secs: Vec<f64>,
+    rows: Vec<Vec<Option<f32>>>,
+}
+
+/// Reads a table of curves for the page.
+pub(super) fn curves_of(path: &Path, reporter: &dyn Reporter) -> Result<CurvesDocument> {
+    let curves = Curves::read(path, reporter)?;
+    Ok(CurvesDocument::new(shown_name(path), &curves))
+}
+
+impl CurvesDocument {
+    fn new(name: String, curves: &Curves) -> Self {
+        Self {
+            name,
+            units: curves.units.iter().map(ToString::to_string).collect(),
+            times_secs: curves.times_secs.clone(),
+            rows: curves.rows.clone(),
+        }
+    }
+}
+
+impl<'a> Site<'a> {
+    pub(super) fn new(
+        avatar: &'a Avatar,
+        run: &Path,
+        token: String,
+        port: u16,
+        curves: Option<CurvesDocument>,
+    ) -> Self {
+        Self { token, port, avatar, run: run.to_owned(), scene: Scene::new(avatar), curves, pictures: 0 }
+    }
+
+    pub(super) fn pictures(&self) -> u64 {
+        self.pictures
+    }
+
+    /// Answers one request; a browser that has gone away is no error.
+    pub(super) fn answer(&mut self, mut request: Request, reporter: &dyn Reporter) {
+        let (status, kind, body, more) = self.route(&mut request, reporter);
+        let mut response = Response::from_data(body).with_status_code(status);
+        let fixed = [
+            ("Content-Type", kind),
+            ("Cache-Control", "no-store"),
+            ("X-Content-Type-Options", "nosniff"),
+            ("X-Frame-Options", "DENY"),
+            ("Referrer-Policy", "no-referrer"),
+            // Nothing is loaded from elsewhere; curves of the user's files are read as data.
+            ("Content-Security-Policy", "default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'"),
+        ];
+        let all = fixed.iter().map(|(k, v)| (*k, (*v).to_owned())).chain(more);
+        for (name, value) in all {
+            if let Ok(header) = Header::from_bytes(name.as_bytes(), value.as_bytes()) {
+                response.add_header(header);
+            }
+        }
+        let _ = request.respond(response);
+    }
+
+    fn route(&mut self, request: &mut Request, reporter: &dyn Reporter) -> Answer {
+        if !self.is_from_here(request) {
+            return text(403, "only pages of this server are answered");
+        }
+        let url = request.url().to_owned();
+        let path = url.split(['?', '#']).next().unwrap_or_default();
+        // Without the token there is nothing, not even a hint.
+        let Some(path) = path.strip_prefix('/').and_then(|p| p.strip_prefix(self.token.as_str())) else {
+            return text(404, "nothing here; open the address that `trainer view` printed");
+        };
+        match (request.method(), path) {
+            (Method::Get, "/" | "/index.html") => (200, "text/html; charset=utf-8", PAGE.into(), Vec::new()),
+            (Method::Get, "/style.css") => (200, "text/css; charset=utf-8", STYLE.into(), Vec::new()),
+            (Method::Get, "/info.json") => json(&self.info()),
+            (Method::Get, path) => match SCRIPTS.iter().find(|(name, _)| path.strip_prefix('/') == Some(*name)) {
+                Some((_, script)) => (200, "text/javascript; charset=utf-8", (*script).into(), Vec::new()),
+                None => text(404, "nothing here"),
+            },
+            (Method::Post, "/frame") => self.frame(request, reporter),
+            (Method::Post, "/curves") => read_curves(request, reporter),
+            (Method::Post, "/path") => self.save_path(request),
+            _ => text(404, "nothing here"),
+        }
+    }
+
+    /// Whether the request names this server as its host and, if it says where it comes from, comes from its pages.
+    fn is_from_here(&self, request: &Request) -> bool {
+        let header = |name: &'static str| {
+            request.headers().iter().find(|h| h.field.equiv(name)).map(|h| h.value.as_str().to_ascii_lowercase())
+        };
+        let mine = ["127.0.0.1", "localhost"].map(|host| format!("{host}:{}", self.port));
+        let host = header("Host").unwrap_or_default();
+        let origin = header("Origin");
+        mine.contains(&host) && origin.is_none_or(|o| mine.iter().any(|m| o == format!("http://{m}")))
+    }
+
+    fn info(&self) -> Info<'_> {
+        let saved = &self.avatar.saved;
+        let (width, height) = self.scene.size();
+        let au = |a: &risorius_formats::AttributeSpec| AuInfo {
+            unit: a.unit.to_string(),
+            name: a.unit.facs_name(),
+            region: a.region,
+            neutral: a.neutral,
+            max: a.au_max,
+            active: a.active,
+        };
+        Info {
+            name: shown_name(&self.run),
+            width,
+            height,
+            regions: &saved.table.regions,
+            aus: saved.table.attributes.iter().map(au).collect(),
+            presets: &PRESETS,
+            // `orbit_rad` is three quarters of what is covered.
+            seen_deg: saved.orbit_rad.map(|a| (a / 0.75).to_degrees()),
+            curves: self.curves.as_ref(),
+        }
+    }
+
+    fn frame(&mut self, request: &mut Request, reporter: &dyn Reporter) -> Answer {
+        let body = match body(request) {
+            Ok(body) => body,
+            Err(answer) => return answer,
+        };
+        let wanted: FrameRequest = match serde_json::from_slice(&body) {
+            Ok(wanted) => wanted,
+            Err(e) => return text(400, &format!("the request is not understood: {e}")),
+        };
+        let started = Instant::now();
+        let picture = match self.scene.frame(&wanted, reporter) {
+            Ok(picture) => picture,
+            Err(e) => return text(500, &e.to_string()),
+        };
+        self.pictures += 1;
+        let more = vec![
+            ("X-Width", picture.width().to_string()),
+            ("X-Height", picture.height().to_string()),
+            ("X-Millis", format!("{:.1}", started.elapsed().as_secs_f64() * 1e3)),
+        ];
+        if !wanted.jpeg {
+            return (200, "application/octet-stream", picture.into_raw(), more);
+        }
+        let mut bytes = Vec::new();
+        match JpegEncoder::new_with_quality(&mut bytes, 90).encode_image(&picture) {
+            Ok(()) => (200, "image/jpeg", bytes, more),
+            Err(e) => text(500, &e.to_string()),
+        }
+    }
+
+    /// Keeps a camera path in the run's folder, under a name of the server's own making.
+    fn save_path(&self, request: &mut Request) -> Answer {
+        let body = match body(request) {
+            Ok(body) => body,
+            Err(answer) => return answer,
+        };
+        let path: CameraPath = match serde_json::from_slice(&body) {
+            Ok(path) => path,
+            Err(e) => return text(400, &format!("the path is not understood: {e}")),
+        };
+        if let Err(e) = path.check() {
+            return text(400, &e.to_string());
+        }
+        let folder = self.run.join("paths");
+        let Some(file) = (1..10_000).map(|n| folder.join(format!("path_{n:03}.toml"))).find(|f| !f.exists()) else {
+            return text(500, "there are too many paths in this run");
+        };
+        let written = path.to_toml().and_then(|text| atomic::write_file(&file, text.as_bytes()));
+        match written {
+            Ok(()) => json(&serde_json::json!({ "file": file.display().to_string() })),
+            Err(e) => text(500, &e.to_string()),
+        }
+    }
+}
+
+fn read_curves(request: &mut Request, reporter: &dyn Reporter) -> Answer {
+    match body(request).map(|body| Curves::parse(&body, reporter)) {
+        Ok(Ok(curves)) => json(&CurvesDocument::new("curves".to_owned(), &curves)),
+        Ok(Err(e)) => {
+            let hint = risorius_formats::Hint::hint(&e).map_or_else(String::new, |h| format!("; {h}"));
+            text(400, &format!("{e}{hint}"))
+        }
+        Err(answer) => answer,
+    }
+}
+
+fn body(request: &mut Request) -> std::result::Result<Vec<u8>, Answer> {
+    let mut body = Vec::new();
+    match request.as_reader().take(MAX_BODY + 1).read_to_end(&mut body) {
+        Ok(n) if n as u64 <= MAX_BODY => Ok(body),
+        Ok(_) => Err(text(413, "more than 64 MiB")),
+        Err(e) => Err(text(400, &format!("the request broke off: {e}"))),
+    }
+}
+
+fn json(value: &impl Serialize) -> Answer {
+    match serde_json::to_vec(value) {
+        Ok(bytes) => (200, "application/json", bytes, Vec::new()),
+        Err(e) => text(500, &e.to_string()),
+    }
+}
+
+fn text(status: u16, message: &str) -> Answer {
+    (status, "text/plain; charset=utf-8", message.as_bytes().to_vec(), Vec::new())
+}

@@ -1,0 +1,96 @@
+//! `trainer view`: a page on this machine that shows the avatar while it is turned and steered.
+//!
+//! ```text
+//! browser ── POST /TOKEN/frame {angles, AUs, size, overlay} ──▶ http ──▶ scene (one Studio per use) ──▶ raw RGB
+//! ```
+//!
+//! The browser asks for one picture at a time, so what is on the screen is never older than one picture, and a slow
+//! machine gets fewer pictures, not a queue. The server listens on the loopback interface only; its address holds a
+//! random token, without which every path answers 404, and requests that name another host (DNS rebinding) or come from
+//! another page (`Origin`) are refused.
+
+mod http;
+mod overlay;
+mod scene;
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use risorius_formats::Reporter;
+
+use crate::avatar::Avatar;
+use crate::error::{Result, TrainerError};
+pub(crate) use overlay::ramp;
+pub use scene::{FrameRequest, Overlay, Scene};
+
+/// How long the server waits before it looks whether the user has stopped it.
+const PATIENCE: Duration = Duration::from_millis(200);
+
+/// How to serve.
+#[derive(Clone, Debug)]
+pub struct ViewSettings {
+    /// The run's folder: its name is shown, and camera paths are saved in it.
+    pub run: PathBuf,
+    /// The port; 0 takes a free one.
+    pub port: u16,
+    /// A table of AU curves that the page offers to play.
+    pub curves: Option<PathBuf>,
+}
+
+/// A server that is bound and not yet serving.
+pub struct Viewer<'a> {
+    server: tiny_http::Server,
+    site: http::Site<'a>,
+}
+
+impl<'a> Viewer<'a> {
+    /// Binds the port on the loopback interface.
+    pub fn bind(avatar: &'a Avatar, settings: &ViewSettings, reporter: &dyn Reporter) -> Result<Self> {
+        let address = SocketAddr::from((Ipv4Addr::LOCALHOST, settings.port));
+        let server = tiny_http::Server::http(address).map_err(|e| TrainerError::Setting {
+            message: format!("cannot listen on {address}: {e}"),
+            hint: "another program may use the port; `--port 0` takes a free one".to_owned(),
+        })?;
+        let port = server.server_addr().to_ip().map_or(settings.port, |a| a.port());
+        let curves = settings.curves.as_deref().map(|path| http::curves_of(path, reporter)).transpose()?;
+        let site = http::Site::new(avatar, &settings.run, token()?, port, curves);
+        Ok(Self { server, site })
+    }
+
+    /// The address to open, token included.
+    pub fn url(&self) -> String {
+        format!("http://127.0.0.1:{}/{}/", self.site.port, self.site.token)
+    }
+
+    /// Answers until the user stops it; gives the number of pictures that were rendered.
+    pub fn serve(mut self, reporter: &dyn Reporter) -> Result<u64> {
+        while !reporter.cancelled() {
+            match self.server.recv_timeout(PATIENCE) {
+                Ok(Some(request)) => self.site.answer(request, reporter),
+                Ok(None) => {}
+                Err(e) => {
+                    let message = format!("the server stopped: {e}");
+                    return Err(TrainerError::Setting { message, hint: "start `trainer view` again".to_owned() });
+                }
+            }
+        }
+        Ok(self.site.pictures())
+    }
+}
+
+/// 128 random bits as text.
+fn token() -> Result<String> {
+    let mut bytes = [0u8; 16];
+    getrandom::fill(&mut bytes).map_err(|e| TrainerError::Setting {
+        message: format!("the system gives no random numbers: {e}"),
+        hint: String::new(),
+    })?;
+    Ok(format!("{:032x}", u128::from_le_bytes(bytes)))
+}
+
+/// The name of a folder for people.
+fn shown_name(path: &Path) -> String {
+    let full = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    full.file_name().map_or_else(|| "avatar".to_owned(), |n| n.to_string_lossy().into_owned())
+}
