@@ -12,7 +12,7 @@ use crate::fit::{Views, rng_for};
 use crate::lattice::EDGE;
 use crate::math;
 use crate::model::{Brick, Part, deformation};
-use crate::occupancy::{CELLS, COUNT, WHOLE, cell_position};
+use crate::occupancy::{CELLS, COUNT, PARTS, WHOLE, cell_position};
 
 /// The threshold: this many times the mean density …
 const MEAN_SHARE: f32 = 1.5;
@@ -167,27 +167,29 @@ fn region_cells(model: &Brick) -> Vec<bool> {
 
 /// Gives the sparse live levels bricks wherever a cell is looked into.
 pub(crate) fn allocate(part: &mut Part, rng: &mut impl Rng) {
-    let edge = 2.0 / CELLS as f32;
+    let edge = 2.0 / PARTS as f32;
     for l in 0..part.field.live {
         if !part.field.levels[l].sparse {
             continue;
         }
         let (vertices, bricks) = (part.field.levels[l].vertices, part.field.levels[l].bricks());
+        // The bricks that hold the vertices around a part of the box.
+        let range = |position: usize, a: usize| {
+            let steps = (vertices[a] - 1) as f32 * 0.5;
+            let low = (position as f32 * edge * steps) as usize;
+            let high = ((position + 1) as f32 * edge * steps) as usize + 1;
+            low / EDGE..=high.min(vertices[a] - 1) / EDGE
+        };
         for cell in 0..COUNT {
-            if part.occupancy.bits[cell] == 0 {
-                continue;
-            }
-            let p = cell_position(cell);
-            let range = |a: usize| {
-                let steps = (vertices[a] - 1) as f32 * 0.5;
-                let low = (p[a] as f32 * edge * steps - 0.5).max(0.0) as usize;
-                let high = (((p[a] + 1) as f32 * edge * steps + 1.5) as usize).min(vertices[a] - 1);
-                low / EDGE..=high / EDGE
-            };
-            for z in range(2) {
-                for y in range(1) {
-                    for x in range(0) {
-                        part.field.allocate(l, (z * bricks[1] + y) * bricks[0] + x, rng);
+            let bits = part.occupancy.bits[cell];
+            let first = cell_position(cell).map(|v| 2 * v);
+            for bit in (0..8).filter(|bit| bits >> bit & 1 == 1) {
+                let p = [first[0] + (bit & 1), first[1] + (bit >> 1 & 1), first[2] + (bit >> 2)];
+                for z in range(p[2], 2) {
+                    for y in range(p[1], 1) {
+                        for x in range(p[0], 0) {
+                            part.field.allocate(l, (z * bricks[1] + y) * bricks[0] + x, rng);
+                        }
                     }
                 }
             }

@@ -22,6 +22,7 @@ pub mod expression;
 pub mod field;
 pub mod fit;
 pub mod floor;
+pub mod heal;
 pub mod lattice;
 pub mod march;
 pub mod math;

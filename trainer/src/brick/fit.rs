@@ -4,6 +4,8 @@ use std::path::Path;
 use std::time::Instant;
 
 use glam::Vec3;
+use risorius_brick::heal::{heal, unheal};
+use risorius_brick::model::LATENT;
 use risorius_brick::{Brick, Fitter, Progress, Settings, StepNumbers};
 use risorius_formats::Reporter;
 use risorius_formats::atomic::AtomicDir;
@@ -162,12 +164,12 @@ pub fn fit(
         }
         if step % settings.checkpoint_every == 0 {
             let begun = Instant::now();
-            save(&mut fitter, &views, seconds(), data, settings, run)?;
+            save(&mut fitter, &views, seconds(), data, settings, run, false)?;
             save_secs = begun.elapsed().as_secs_f64();
         }
     }
     log.finish()?;
-    save(&mut fitter, &views, seconds(), data, settings, run)?;
+    save(&mut fitter, &views, seconds(), data, settings, run, true)?;
     if !finished {
         return Err(TrainerError::Interrupted { done: format!("step {}", fitter.progress.step) });
     }
@@ -221,6 +223,7 @@ fn save(
     data: &TrainData,
     settings: &BrickSettings,
     run: &Path,
+    last: bool,
 ) -> Result<()> {
     let step = fitter.progress.step;
     let pending = fitter.pending_weights();
@@ -236,10 +239,27 @@ fn save(
     write_json(dir.path().join("state.json"), &state)?;
     dir.commit()?;
     checkpoint::prune(run)?;
-    store::write(&run.join("model.safetensors"), model, Content::Avatar, views.plate(), &[])?;
+    // A fit that goes on decides anew what it looks into; an avatar that stays is mended.
+    let before = last.then(|| heal(model, &expressions(model)));
+    let written = store::write(&run.join("model.safetensors"), model, Content::Avatar, views.plate(), &[]);
+    if let Some(before) = before {
+        unheal(model, before);
+    }
+    written?;
     let center =
         data.extras().map_or_else(|| Vec3::from_array(model.layout.head_box.center).as_dvec3(), |e| e.head_center);
     write_json(run.join("model.json"), &SavedModel::describe(data, SavedField::Brick(saved), center))?;
     manifest(data, "brick", settings.step.seed, step, seconds).write(run.join("run.json"))?;
     Ok(())
+}
+
+/// Activations of the neutral face and of each AU at its most, with the code of the neutral face.
+fn expressions(model: &Brick) -> Vec<Vec<f32>> {
+    let count = model.layout.region_of.len();
+    let code = &model.codes.values[model.neutral_image * LATENT..(model.neutral_image + 1) * LATENT];
+    let face = |most: Option<usize>| {
+        let aus = (0..count).map(|k| f32::from(u8::from(Some(k) == most)));
+        aus.chain(code.iter().copied()).collect()
+    };
+    std::iter::once(face(None)).chain((0..count).map(|k| face(Some(k)))).collect()
 }

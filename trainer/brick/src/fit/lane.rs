@@ -13,7 +13,7 @@ use crate::rays::{Look, Prior, Rays};
 use crate::table::TableGrad;
 
 /// Rays that travel together: their samples' activations stay in the cache.
-pub(super) const CHUNK: usize = 64;
+pub(super) const CHUNK: usize = 128;
 
 /// One thread's gradients and scratch.
 #[derive(Debug, Default)]

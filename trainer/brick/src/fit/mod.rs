@@ -25,7 +25,9 @@ use crate::rays::Look;
 use crate::table::{Adam, Table, TableGrad};
 
 /// Samples that go through the network together.
-const BATCH: usize = 256;
+const BATCH: usize = 128;
+/// A ray that lets less than this through is over: a quarter of a level of a byte.
+const OPAQUE: f32 = 1e-3;
 
 /// A pixel to fit.
 #[derive(Clone, Copy, Debug, Default)]
@@ -193,7 +195,7 @@ impl Fitter {
         Look {
             divisions: of(self.settings.finest[0]),
             planes: of(self.settings.finest[1]),
-            opaque: if self.settings.skips.hidden { 1e-4 } else { 0.0 },
+            opaque: if self.settings.skips.hidden { OPAQUE } else { 0.0 },
             batch: BATCH,
             everywhere: false,
         }
