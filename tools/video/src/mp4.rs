@@ -56,6 +56,22 @@ pub(crate) fn read(file: &mut File) -> io::Result<Container> {
     Ok(moov.and_then(|moov| index(&moov, &fragments)).map_or(Container::NoIndex, |(t, o)| Container::Indexed(t, o)))
 }
 
+/// The end of the last `mdat` (or of the index before the first) that is whole, and the file's length.
+pub(crate) fn whole_fragments(file: &mut File) -> io::Result<(u64, u64)> {
+    let length = file.metadata()?.len();
+    let (mut position, mut whole) = (0, 0);
+    while let Some(header) = read_header(file, position, length)? {
+        if header.end > length {
+            break;
+        }
+        position = header.end;
+        if matches!(&header.name, b"moov" | b"mdat") {
+            whole = position;
+        }
+    }
+    Ok((whole, length))
+}
+
 struct Header {
     name: [u8; 4],
     body: u64,
