@@ -83,25 +83,20 @@ fn with_json_stdout_is_one_document() {
 }
 
 #[test]
-fn wrong_usage_is_2_and_a_camera_is_not_built_yet() {
+fn wrong_usage_is_2() {
     let dir = tempfile::tempdir().unwrap();
-    for args in
-        [&["record", "--out", "take"][..], &["record", "--input", "a", "--out", "b", "--fps", "many"], &["fly"], &[]]
-    {
+    for args in [
+        &["record", "--out", "take"][..],
+        &["record", "--input", "a", "--out", "b", "--fps", "many"],
+        &["record", "--input", "a", "--out", "b", "--script", "au"],
+        &["record", "--input", "a", "--device", "b", "--out", "c"],
+        &["fly"],
+        &[],
+    ] {
         assert_eq!(capture(dir.path(), args).status.code(), Some(2), "{args:?}");
     }
-    let camera = capture(
-        dir.path(),
-        &["record", "--device", "/dev/video0", "--size", "1280x720", "--fps", "120", "--out", "take"],
-    );
-    assert_eq!(camera.status.code(), Some(1));
-    let text = stderr(&camera);
-    assert!(
-        text.starts_with("error: not built yet: ") && text.contains("hint: ") && text.contains("--input"),
-        "{text}"
-    );
     let help = capture(dir.path(), &["record", "--help"]);
-    assert!(help.status.success() && stdout(&help).contains("Examples:") && stdout(&help).contains("not built yet"));
+    assert!(help.status.success() && stdout(&help).contains("Examples:") && !stdout(&help).contains("not built yet"));
     assert!(names(dir.path()).is_empty());
 }
 

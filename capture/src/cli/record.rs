@@ -11,7 +11,10 @@ use crate::record::{RecordOptions, RecordSummary, record};
 /// Options of `capture record`.
 #[derive(Args, Debug)]
 #[command(
-    after_help = "Examples:\n  capture record --input face.mp4 --out takes/face --subject Ada\n  capture record --input frames/ --fps 120 --out takes/face\n\n\
+    after_help = "Examples:\n  capture record --device /dev/video0 --size 1280x720 --fps 120 --script au --out takes/face\n  \
+    capture record --input face.mp4 --out takes/face --subject Ada\n  capture record --input frames/ --fps 120 --out takes/face\n\n\
+    A recording ends with --duration, with the script, or with Ctrl-C; it can be played however it ends, and\n\
+    `capture recover` makes a take of what was killed.\n\
     A frame counts as dropped where the time since the one before exceeds 1.5 times what is usual around it.\n\
     Defaults for --link, --subject, --consent and --fps can stand in the table [capture] of risorius.toml."
 )]
@@ -21,43 +24,36 @@ pub(super) struct RecordArgs {
     input: Option<PathBuf>,
     /// The take's folder; it appears whole or not at all.
     #[arg(long, value_name = "TAKE")]
-    out: PathBuf,
+    pub(super) out: PathBuf,
     /// Refer to the input by its absolute path instead of copying it.
     #[arg(long)]
     link: bool,
     /// Replace the take at --out, with its tracks and poses.
     #[arg(long)]
-    force: bool,
+    pub(super) force: bool,
     /// Who is seen.
     #[arg(long, value_name = "TEXT")]
-    subject: Option<String>,
+    pub(super) subject: Option<String>,
     /// Under which consent it was recorded.
     #[arg(long, value_name = "TEXT")]
-    consent: Option<String>,
-    /// Frames per second of an image folder [default: 30].
+    pub(super) consent: Option<String>,
+    /// Frames per second: of a camera [default: its highest], or of an image folder [default: 30].
     #[arg(long, value_name = "N", value_parser = parse_fps)]
-    fps: Option<f64>,
-    /// A camera (not built yet: only --input works).
-    #[arg(long, value_name = "ID")]
+    pub(super) fps: Option<f64>,
+    /// A camera of `capture devices`, such as /dev/video0; `synthetic:1280x720@120` is one that is not there.
+    #[arg(long, value_name = "ID", help_heading = "Camera")]
     device: Option<String>,
-    /// Picture size for --device (not built yet).
-    #[arg(long, value_name = "WxH", requires = "device")]
-    size: Option<String>,
-    /// Length for --device, such as 120s (not built yet).
-    #[arg(long, value_name = "TIME", requires = "device")]
-    duration: Option<String>,
-    /// Prompts for --device (not built yet).
-    #[arg(long, value_name = "NAME", requires = "device")]
-    script: Option<String>,
+    #[command(flatten)]
+    pub(super) live: super::live::LiveArgs,
 }
 
 /// `[capture]` of `risorius.toml`.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-struct Settings {
+pub(super) struct Settings {
     link: bool,
-    subject: Option<String>,
-    consent: Option<String>,
+    pub(super) subject: Option<String>,
+    pub(super) consent: Option<String>,
     fps: Option<f64>,
 }
 
@@ -69,11 +65,12 @@ fn parse_fps(text: &str) -> Result<f64, String> {
 }
 
 pub(super) fn run(args: &RecordArgs, console: &Console) -> Result<(), Failure> {
-    let Some(input) = args.input.clone() else {
-        return Err(Failure::input("not built yet: recording from a camera; only `--input` is available")
-            .with_hint("record with the camera's own program, then `capture record --input VIDEO --out TAKE`"));
-    };
     let settings: Settings = settings("capture")?;
+    let input = match (&args.input, &args.device) {
+        (Some(input), _) => input.clone(),
+        (None, Some(device)) => return super::live::run(device, args, settings, console),
+        (None, None) => return Err(Failure::usage("give `--input` or `--device`")),
+    };
     // A rate in the settings is for image folders, and no reason for a warning about a video.
     let settings_fps = settings.fps.filter(|_| input.is_dir());
     let options = RecordOptions {

@@ -11,6 +11,7 @@
 //!   are missing.
 
 pub mod avc;
+mod camera;
 mod error;
 pub mod fragmented;
 mod images;
@@ -22,6 +23,7 @@ pub mod utvideo;
 mod video;
 mod writer;
 
+pub use camera::Camera;
 pub use error::VideoError;
 pub use reader::{Frame, Reader, Truncation, VideoInfo, read_frames};
 pub use timeline::Timeline;
