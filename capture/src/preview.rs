@@ -48,7 +48,7 @@ impl Preview {
                 }
                 // One request at a time: a page asks for one picture after the other.
                 if let Ok(stream) = stream {
-                    let _ = answer(stream, address, &theirs);
+                    let _ = answer(&stream, address, &theirs);
                 }
             }
         });
@@ -82,10 +82,10 @@ impl Drop for Preview {
     }
 }
 
-fn answer(stream: TcpStream, address: SocketAddr, shared: &Shared) -> std::io::Result<()> {
+fn answer(mut stream: &TcpStream, address: SocketAddr, shared: &Shared) -> std::io::Result<()> {
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;
-    let mut lines = BufReader::new((&stream).take(LONGEST_HEAD)).lines();
+    let mut lines = BufReader::new(stream.take(LONGEST_HEAD)).lines();
     let request = lines.next().transpose()?.unwrap_or_default();
     let mut host = String::new();
     for line in lines {
@@ -120,9 +120,8 @@ fn answer(stream: TcpStream, address: SocketAddr, shared: &Shared) -> std::io::R
         "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nCache-Control: no-store\r\nConnection: close\r\n\r\n",
         body.len()
     );
-    let mut out = &stream;
-    out.write_all(head.as_bytes())?;
-    out.write_all(&body)
+    stream.write_all(head.as_bytes())?;
+    stream.write_all(&body)
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! `capture record --device` as users run it: scripts, Ctrl-C, `kill -9`, full disks.
 #![cfg(unix)]
+#![expect(clippy::unwrap_used, reason = "helpers of tests")]
 
 mod common;
 

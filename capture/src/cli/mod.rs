@@ -25,7 +25,7 @@ enum Command {
     /// List the cameras with their modes, frame rates and controls.
     Devices(devices::DevicesArgs),
     /// Make a take from a camera, a video file or a folder of images.
-    Record(record::RecordArgs),
+    Record(Box<record::RecordArgs>),
     /// Say what a take is worth: times, sharpness, exposure.
     Check(check::CheckArgs),
     /// Make a take of a recording that was cut off.

@@ -4,6 +4,7 @@ use std::io;
 use std::time::Duration;
 
 use ::v4l::buffer::{Flags, Type};
+use ::v4l::capability::Flags as Caps;
 use ::v4l::frameinterval::FrameIntervalEnum;
 use ::v4l::framesize::FrameSizeEnum;
 use ::v4l::io::mmap::Stream;
@@ -49,7 +50,6 @@ impl Camera {
             .query_caps()
             .map(|c| c.capabilities)
             .map_err(|_| CaptureError::NotACamera { device: path.clone() })?;
-        use ::v4l::capability::Flags as Caps;
         if !streams.contains(Caps::VIDEO_CAPTURE) || !streams.contains(Caps::STREAMING) {
             return Err(CaptureError::NotACamera { device: path });
         }

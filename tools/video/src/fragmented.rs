@@ -156,7 +156,9 @@ fn boxed(name: [u8; 4], parts: &[&[u8]]) -> Vec<u8> {
     let mut out = Vec::with_capacity(size);
     out.extend_from_slice(&(size as u32).to_be_bytes());
     out.extend_from_slice(&name);
-    parts.iter().for_each(|p| out.extend_from_slice(p));
+    for part in parts {
+        out.extend_from_slice(part);
+    }
     out
 }
 

@@ -147,7 +147,9 @@ impl UtEncoder {
                 c.encode(|residuals| other_plane(raw, picture, w, h, 1, residuals));
             },
         );
-        self.planes.iter().for_each(|p| out.extend_from_slice(&p.coded));
+        for plane in &self.planes {
+            out.extend_from_slice(&plane.coded);
+        }
         out.extend_from_slice(&FRAME_INFO.to_le_bytes());
         true
     }
@@ -214,7 +216,9 @@ fn histogram(symbols: &[u8]) -> [u32; 256] {
             table[usize::from(*symbol)] += 1;
         }
     }
-    rest.iter().for_each(|s| tables[0][usize::from(*s)] += 1);
+    for symbol in rest {
+        tables[0][usize::from(*symbol)] += 1;
+    }
     std::array::from_fn(|i| tables.iter().map(|t| t[i]).sum())
 }
 
