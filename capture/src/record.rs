@@ -34,6 +34,8 @@ pub struct RecordOptions {
     pub consent: String,
     /// Frame rate of an image folder; 30 when `None`.
     pub image_fps: Option<f64>,
+    /// Frames per second at which a slow-motion clip was filmed; its metadata tell when `None`.
+    pub true_fps: Option<f64>,
 }
 
 /// What a take turned out to be.
@@ -51,6 +53,8 @@ pub struct RecordSummary {
     pub luma_median: Option<f32>,
     /// Median of the frames' clipped share, 0–1.
     pub clipped_median: Option<f32>,
+    /// How many times slower than filmed a slow-motion clip plays; the take's times are those of filming.
+    pub slow_motion: Option<f64>,
     /// How many frames the container announces, when the file ends before them.
     pub truncated_from: Option<u64>,
     /// How long it took, seconds.
@@ -69,6 +73,14 @@ pub fn record(options: &RecordOptions, reporter: &dyn Reporter) -> Result<Record
         reporter.warn(Warning::new(
             "fps-ignored",
             format!("{}: the frame rate is for image folders; a video has its own times", options.input.display()),
+        ));
+    }
+    let slow_motion = if is_folder { None } else { slow_motion(&info, options.true_fps) };
+    if let Some(factor) = slow_motion {
+        reporter.note(&format!(
+            "slow motion: plays {:.2} frames/s, filmed at {:.2}; the times are those of filming",
+            info.fps,
+            factor * info.fps
         ));
     }
     let dir = AtomicDir::create(&options.out)?;
@@ -95,8 +107,12 @@ pub fn record(options: &RecordOptions, reporter: &dyn Reporter) -> Result<Record
         );
         reporter.warn(Warning::new("truncated-video", message));
     }
-    let Pictures { frames, truncation } = pictures;
-    let manifest = manifest(options, &info, is_folder, media, &frames);
+    let Pictures { mut frames, truncation } = pictures;
+    if let Some(factor) = slow_motion {
+        frames.iter_mut().for_each(|f| f.timestamp_nanos = (f.timestamp_nanos as f64 / factor).round() as i64);
+    }
+    let fps_asked = slow_motion.unwrap_or(1.0) * info.fps;
+    let manifest = manifest(options, &info, is_folder, fps_asked, media, &frames);
     frame::write_frames(dir.path().join("frames.csv"), &frames)?;
     manifest.write(dir.path().join("take.toml"))?;
     if reporter.cancelled() {
@@ -111,10 +127,21 @@ pub fn record(options: &RecordOptions, reporter: &dyn Reporter) -> Result<Record
         sharpness_median: of(|f| f.sharpness),
         luma_median: of(|f| f.luma_mean),
         clipped_median: of(|f| f.clipped_share),
+        slow_motion,
         truncated_from: truncation.map(|t| t.expected),
         manifest,
         elapsed_secs: begun.elapsed().as_secs_f64(),
     })
+}
+
+/// Rates closer than this are not slow motion but rounding.
+const SLOWED: f64 = 1.2;
+
+/// How many times slower than filmed a clip plays: by `true_fps`, or by its metadata. A phone's clip that says 240 and
+/// plays 240 was not slowed.
+fn slow_motion(info: &risorius_video::VideoInfo, true_fps: Option<f64>) -> Option<f64> {
+    let factor = true_fps.or(info.capture_fps.filter(|fps| *fps > SLOWED * info.fps))? / info.fps;
+    (factor.is_finite() && factor > 0.0 && (factor - 1.0).abs() > 1e-6).then_some(factor)
 }
 
 /// Refuses to replace what is not to be replaced.
@@ -138,6 +165,7 @@ fn manifest(
     options: &RecordOptions,
     info: &risorius_video::VideoInfo,
     is_folder: bool,
+    fps_asked: f64,
     media: Media,
     frames: &[FrameRecord],
 ) -> TakeManifest {
@@ -156,7 +184,7 @@ fn manifest(
         width: info.width,
         height: info.height,
         rotation_degrees: info.rotation_degrees,
-        fps_asked: Some(info.fps),
+        fps_asked: Some(fps_asked),
         fps_measured: timing::measured_fps(&times),
         frame_count: frames.len() as u32,
         dropped_frames: frames.iter().map(|f| f.dropped_before).fold(0, u32::saturating_add),

@@ -55,8 +55,18 @@ fn a_take_is_made_checked_and_kept() {
     assert_eq!((forced.status.code(), stderr(&forced).as_str()), (Some(0), ""));
     let checked = capture(dir.path(), &["check", "take", "--sheet", "sheet.png", "--no-progress"]);
     assert_eq!((checked.status.code(), stderr(&checked).as_str()), (Some(0), ""));
-    assert!(stdout(&checked).contains("good  dropped    no frames are missing\n"), "{}", stdout(&checked));
+    assert!(stdout(&checked).contains("good  dropped      no frames are missing\n"), "{}", stdout(&checked));
     assert_eq!(names(dir.path()), ["sheet.png", "take", "v.mp4"]);
+    // For scripts: half a second is too short to be good, and good enough to be fair.
+    let strict = capture(dir.path(), &["check", "take", "--require", "good", "--report", "report.html", "-q"]);
+    assert_eq!(strict.status.code(), Some(1));
+    assert!(stderr(&strict).starts_with("error: take: is fair: length\n\nhint: "), "{}", stderr(&strict));
+    assert!(stdout(&strict).contains("overall: fair") && path_exists(dir.path(), "report.html"));
+    assert!(capture(dir.path(), &["check", "take", "--require", "fair"]).status.success());
+}
+
+fn path_exists(dir: &Path, name: &str) -> bool {
+    dir.join(name).exists()
 }
 
 #[test]

@@ -40,6 +40,9 @@ pub(super) struct RecordArgs {
     /// Frames per second: of a camera [default: its highest], or of an image folder [default: 30].
     #[arg(long, value_name = "N", value_parser = parse_fps)]
     pub(super) fps: Option<f64>,
+    /// Frames per second at which a slow-motion clip was filmed, if its metadata do not tell.
+    #[arg(long, value_name = "N", value_parser = parse_fps, conflicts_with = "device")]
+    true_fps: Option<f64>,
     /// A camera of `capture devices`, such as /dev/video0; `synthetic:1280x720@120` is one that is not there.
     #[arg(long, value_name = "ID", help_heading = "Camera")]
     device: Option<String>,
@@ -81,6 +84,7 @@ pub(super) fn run(args: &RecordArgs, console: &Console) -> Result<(), Failure> {
         subject: args.subject.clone().or(settings.subject).unwrap_or_default(),
         consent: args.consent.clone().or(settings.consent).unwrap_or_default(),
         image_fps: args.fps.or(settings_fps),
+        true_fps: args.true_fps,
     };
     let summary = record(&options, console)?;
     console.finish(&summary, &text(&summary));
@@ -100,6 +104,10 @@ fn text(summary: &RecordSummary) -> String {
     )];
     if m.rotation_degrees != 0 {
         lines.push(format!("turned upright by {}°", m.rotation_degrees));
+    }
+    if let Some(factor) = summary.slow_motion {
+        lines
+            .push(format!("slow motion: filmed {factor:.2} times as fast as it plays; the times are those of filming"));
     }
     lines.push(format!("dropped {}, repeated {}", m.dropped_frames, m.repeated_frames));
     lines.push(format!("next: capture check {}", summary.take.display()));

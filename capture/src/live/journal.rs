@@ -136,7 +136,7 @@ impl Journal {
 }
 
 /// The whole rows of `recording.csv`; a cut last line is left out, and so is what comes after a wrong one.
-pub(super) fn read_journal(dir: &Path) -> Vec<JournalRow> {
+pub(crate) fn read_journal(dir: &Path) -> Vec<JournalRow> {
     let Ok(bytes) = std::fs::read(dir.join(JOURNAL_FILE)) else { return Vec::new() };
     // A line without its end may lack digits.
     let whole = bytes.iter().rposition(|&b| b == b'\n').map_or(0, |last| last + 1);

@@ -145,7 +145,7 @@ pub fn whole_fragments(path: &Path) -> Result<Fragments, VideoError> {
 pub fn timeline(path: &Path) -> Result<Timeline, VideoError> {
     let mut file = File::open(path).map_err(|e| FormatError::io(path, "open", &e))?;
     match mp4::read(&mut file).map_err(|e| FormatError::io(path, "read", &e))? {
-        Container::Indexed(timeline, _) => Ok(timeline),
+        Container::Indexed(timeline, ..) => Ok(timeline),
         Container::NoIndex => Err(VideoError::NoIndex { path: path.to_owned() }),
         Container::Other => Err(VideoError::NotAVideo { path: path.to_owned() }),
     }

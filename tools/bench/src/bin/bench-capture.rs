@@ -21,7 +21,12 @@ use serde_json::Value;
 
 /// Drops, CPU share and memory of `capture record`
 #[derive(Debug, Parser)]
-#[command(name = "bench-capture", version, about, after_help = "Example:\n  bench-capture --work work/bench-capture --secs 60")]
+#[command(
+    name = "bench-capture",
+    version,
+    about,
+    after_help = "Example:\n  bench-capture --work work/bench-capture --secs 60"
+)]
 struct Cli {
     #[command(flatten)]
     common: CommonArgs,
