@@ -109,7 +109,9 @@ pub fn record(options: &RecordOptions, reporter: &dyn Reporter) -> Result<Record
     }
     let Pictures { mut frames, truncation } = pictures;
     if let Some(factor) = slow_motion {
-        frames.iter_mut().for_each(|f| f.timestamp_nanos = (f.timestamp_nanos as f64 / factor).round() as i64);
+        for frame in &mut frames {
+            frame.timestamp_nanos = (frame.timestamp_nanos as f64 / factor).round() as i64;
+        }
     }
     let fps_asked = slow_motion.unwrap_or(1.0) * info.fps;
     let manifest = manifest(options, &info, is_folder, fps_asked, media, &frames);

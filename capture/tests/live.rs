@@ -21,6 +21,8 @@ fn options(device: &str, out: impl AsRef<Path>, secs: f64) -> LiveOptions {
     LiveOptions {
         duration: Some(Duration::from_secs_f64(secs)),
         warm_up: Duration::ZERO,
+        // Patience with a machine that does other things too.
+        buffers: Some(64),
         ..LiveOptions::new(device, out.as_ref())
     }
 }
@@ -93,11 +95,11 @@ impl Write for Slow {
 
 #[test]
 fn a_slow_disk_costs_counted_frames_and_never_the_drivers() {
-    let mut camera = Synthetic::parse("320x240@200").unwrap();
-    let rate = Rate { frames: 200, secs: 1 };
+    let mut camera = Synthetic::parse("320x240@100").unwrap();
+    let rate = Rate { frames: 100, secs: 1 };
     let choice = Choice { format: PixelFormat::Mjpeg, width: 320, height: 240, rate };
-    let started = camera.start(&choice, 8).unwrap();
-    let plan = Plan { duration: Some(Duration::from_secs(3)), memory_bytes: 400_000 };
+    let started = camera.start(&choice, 64).unwrap();
+    let plan = Plan { duration: Some(Duration::from_secs(3)), memory_bytes: 200_000 };
     let mut rows: Vec<JournalRow> = Vec::new();
     let mut keep = |row: JournalRow, _: bool| {
         rows.push(row);
@@ -108,11 +110,11 @@ fn a_slow_disk_costs_counted_frames_and_never_the_drivers() {
     camera.stop();
     let t = outcome.totals;
     assert!(matches!(outcome.ended, Ended::Complete));
-    assert!(t.discarded > 20, "{t:?}");
+    assert!(t.discarded > 5, "{t:?}");
     // The grabbing thread kept up; the frame that ended the recording is in no other count.
     assert_eq!((t.lost, t.corrupt), (0, 0));
     assert_eq!(t.written + t.discarded, t.grabbed - 1, "{t:?}");
-    assert!(t.waiting_peak_bytes <= 400_000, "{t:?}");
+    assert!(t.waiting_peak_bytes <= 200_000, "{t:?}");
     // The rows tell of each of them but those after the last row; sequence numbers agree.
     let missing: u64 = rows.iter().map(|r| u64::from(r.missing_before())).sum();
     assert_eq!(rows.len() as u64, t.written);
@@ -135,7 +137,7 @@ fn a_disk_that_fails_ends_the_recording() {
     }
     let mut camera = Synthetic::parse("320x240@200").unwrap();
     let rate = Rate { frames: 200, secs: 1 };
-    let started = camera.start(&Choice { format: PixelFormat::Mjpeg, width: 320, height: 240, rate }, 8).unwrap();
+    let started = camera.start(&Choice { format: PixelFormat::Mjpeg, width: 320, height: 240, rate }, 64).unwrap();
     let plan = Plan { duration: None, memory_bytes: 64 << 20 };
     let mut rows = 0;
     let mut keep = |_: JournalRow, _: bool| {

@@ -46,7 +46,19 @@ fn a_killed_recording_is_playable_and_recovered() {
     let (take, video) = (dir.path().join("take"), dir.path().join("take/video.mp4"));
     let mut child = start(
         dir.path(),
-        &["record", "--device", "synthetic:160x120@100", "--warm-up", "0s", "--script", "au", "--out", "take"],
+        &[
+            "record",
+            "--device",
+            "synthetic:160x120@100",
+            "--warm-up",
+            "0s",
+            "--script",
+            "au",
+            "--buffers",
+            "64",
+            "--out",
+            "take",
+        ],
     );
     wait_for(&video, 1_000_000);
     signal(&child, "-KILL");
@@ -81,7 +93,18 @@ fn ctrl_c_ends_a_recording_properly() {
     let dir = tempfile::tempdir().unwrap();
     let child = start(
         dir.path(),
-        &["record", "--device", "synthetic:160x120@100", "--out", "take", "--json", "--exposure", "5ms"],
+        &[
+            "record",
+            "--device",
+            "synthetic:160x120@100",
+            "--out",
+            "take",
+            "--json",
+            "--exposure",
+            "5ms",
+            "--buffers",
+            "64",
+        ],
     );
     wait_for(&dir.path().join("take/video.mp4"), 500_000);
     signal(&child, "-INT");

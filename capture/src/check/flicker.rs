@@ -56,7 +56,9 @@ pub(super) fn flicker(luma: &[f32], fps: f64) -> Option<Flicker> {
             *power += (4.0 * re.hypot(im) / n as f64).powi(2);
         }
     }
-    power.iter_mut().for_each(|p| *p /= segments);
+    for p in &mut power {
+        *p /= segments;
+    }
     let width = fps / n as f64;
     let first = (SLOWEST_HZ / width).ceil() as usize;
     let band = power.get(first..)?;

@@ -52,11 +52,11 @@ pub(super) struct LiveArgs {
     /// Frames of this time at the start are not recorded.
     #[arg(long, value_name = "TIME", conflicts_with = "input", default_value = "500ms", value_parser = parse_time, help_heading = "Camera")]
     warm_up: Duration,
-    /// The driver's buffers, at least 8.
-    #[arg(long, value_name = "N", conflicts_with = "input", default_value_t = 16, value_parser = clap::value_parser!(u32).range(8..=64), help_heading = "Camera")]
-    buffers: u32,
+    /// The driver's buffers, 8 to 64 [default: 32, or 16 for raw frames].
+    #[arg(long, value_name = "N", conflicts_with = "input", value_parser = clap::value_parser!(u32).range(8..=64), help_heading = "Camera")]
+    buffers: Option<u32>,
     /// What may wait for a slow disk; then frames are dropped, and counted.
-    #[arg(long, value_name = "MB", conflicts_with = "input", default_value_t = 96, value_parser = clap::value_parser!(u32).range(1..=65_536), help_heading = "Camera")]
+    #[arg(long, value_name = "MB", conflicts_with = "input", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536), help_heading = "Camera")]
     memory_mb: u32,
     /// Leave sharpness and exposure of the frames out, which are measured after the recording.
     #[arg(long, conflicts_with = "input", help_heading = "Camera")]

@@ -31,8 +31,12 @@ use pipeline::{Plan, Totals};
 
 /// The driver's buffers, at least.
 pub const LEAST_BUFFERS: u32 = 8;
+/// The driver's buffers for compressed frames unless something else is asked for: a quarter of a second at 120 fps.
+const USUAL_BUFFERS: u32 = 32;
+/// The same for raw frames, which need ten times the memory.
+const USUAL_RAW_BUFFERS: u32 = 16;
 /// What may wait for the disk unless something else is asked for.
-pub const USUAL_MEMORY_BYTES: usize = 96 << 20;
+pub const USUAL_MEMORY_BYTES: usize = 64 << 20;
 /// Room for the tables of a take: 14,400 rows take 1.5 MB.
 const RESERVED_BYTES: usize = 4 << 20;
 /// After controls were set, frames of before are still on their way.
@@ -55,8 +59,8 @@ pub struct LiveOptions {
     pub subject: String,
     /// Under which consent.
     pub consent: String,
-    /// The driver's buffers.
-    pub buffers: u32,
+    /// The driver's buffers; as usual for the format when `None`.
+    pub buffers: Option<u32>,
     /// Bytes that may wait for the disk.
     pub memory_bytes: usize,
     /// Frames of this time at the start are not recorded: the camera settles.
@@ -78,7 +82,7 @@ impl LiveOptions {
             force: false,
             subject: String::new(),
             consent: String::new(),
-            buffers: 2 * LEAST_BUFFERS,
+            buffers: None,
             memory_bytes: USUAL_MEMORY_BYTES,
             warm_up: Duration::from_millis(500),
             wishes: Wishes::default(),
@@ -141,7 +145,8 @@ pub fn record_live(
     let modes = source.modes(options.request.size)?;
     let choice = negotiate(&modes, &options.request)
         .map_err(|refusal| CaptureError::Refused { device: options.device.clone(), refusal })?;
-    let started = source.start(&choice, options.buffers.max(LEAST_BUFFERS))?;
+    let usual = if choice.format.raw().is_some() { USUAL_RAW_BUFFERS } else { USUAL_BUFFERS };
+    let started = source.start(&choice, options.buffers.unwrap_or(usual).max(LEAST_BUFFERS))?;
     let changed = match prepare(source.as_mut(), options, &choice, &started, monitor) {
         Ok(changed) => changed,
         Err(e) => {

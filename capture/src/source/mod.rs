@@ -305,7 +305,11 @@ pub fn open(device: &str) -> Result<Box<dyn FrameSource>> {
         "" => Ok(Box::new(nokhwa::Camera::open(rest)?)),
         #[cfg(all(feature = "opencv", not(feature = "nokhwa"), not(all(feature = "v4l", target_os = "linux"))))]
         "" => Ok(Box::new(opencv::Camera::open(rest)?)),
-        _ => Err(CaptureError::NoBackend { device: device.to_owned(), built_in: backends() }),
+        _ => {
+            // Used by the backends, if there are any.
+            let _ = rest;
+            Err(CaptureError::NoBackend { device: device.to_owned(), built_in: backends() })
+        }
     }
 }
 
