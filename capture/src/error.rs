@@ -87,7 +87,7 @@ pub enum CaptureError {
         /// The camera.
         device: String,
         /// Why not, and what it can do.
-        refusal: Refusal,
+        refusal: Box<Refusal>,
     },
     /// The driver set another rate than its own list has.
     #[error("{device}: was asked for {} frames/s and set {}", number(*asked), number(*given))]

@@ -1,4 +1,5 @@
 //! Recording from a live source: what is written, what is counted, and what is left after each kind of end.
+#![expect(clippy::unwrap_used, reason = "helpers of tests")]
 
 mod common;
 
@@ -228,12 +229,12 @@ fn what_was_there_comes_back_when_the_camera_gives_nothing() {
     let before = fs::read(out.join("take.toml")).unwrap();
     let again = |device: &str, force: bool| {
         let options = LiveOptions { force, ..options(device, &out, 0.2) };
-        record_live(open(device).unwrap(), &options, None, &Silent)
+        record_live(open(device).unwrap(), &options, None, &Silent).err()
     };
-    assert!(matches!(again("synthetic:64x48@60", false), Err(CaptureError::Exists { .. })));
-    assert!(matches!(again("synthetic:64x48@60,unplug=0", true), Err(CaptureError::Unplugged { .. })));
+    assert!(matches!(again("synthetic:64x48@60", false), Some(CaptureError::Exists { .. })));
+    assert!(matches!(again("synthetic:64x48@60,unplug=0", true), Some(CaptureError::Unplugged { .. })));
     assert_eq!(fs::read(out.join("take.toml")).unwrap(), before);
-    assert!(again("synthetic:64x48@60", true).is_ok());
+    assert!(again("synthetic:64x48@60", true).is_none());
     assert_ne!(fs::read(out.join("take.toml")).unwrap(), before);
     assert_eq!(names(dir.path()), ["take"]);
 }

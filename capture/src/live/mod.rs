@@ -144,7 +144,7 @@ pub fn record_live(
     let place = Place::check(options)?;
     let modes = source.modes(options.request.size)?;
     let choice = negotiate(&modes, &options.request)
-        .map_err(|refusal| CaptureError::Refused { device: options.device.clone(), refusal })?;
+        .map_err(|refusal| CaptureError::Refused { device: options.device.clone(), refusal: Box::new(refusal) })?;
     let usual = if choice.format.raw().is_some() { USUAL_RAW_BUFFERS } else { USUAL_BUFFERS };
     let started = source.start(&choice, options.buffers.unwrap_or(usual).max(LEAST_BUFFERS))?;
     let changed = match prepare(source.as_mut(), options, &choice, &started, monitor) {

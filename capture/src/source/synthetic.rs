@@ -19,7 +19,7 @@ use crate::{CaptureError, Result};
 /// Different pictures, shown in turn.
 const PICTURES: u32 = 24;
 /// Raw pictures are larger.
-const RAW_PICTURES: u32 = 4;
+const RAW_PICTURES: u32 = 5;
 const QUALITY: u8 = 80;
 
 /// What goes wrong, for tests.
