@@ -61,6 +61,39 @@ pub struct RecordSummary {
     pub elapsed_secs: f64,
 }
 
+/// What a take would be made of, as far as the container tells.
+#[derive(Clone, Debug, Serialize)]
+pub struct Rehearsal {
+    /// Upright width, pixels.
+    pub width: u32,
+    /// Upright height, pixels.
+    pub height: u32,
+    /// Rotation that is applied, degrees clockwise.
+    pub rotation_degrees: u32,
+    /// Frames per second as the take would have them.
+    pub fps: f64,
+    /// Number of frames, an estimate for containers other than MP4 and MOV.
+    pub frame_count_estimate: Option<u64>,
+    /// How many times slower than filmed it plays.
+    pub slow_motion: Option<f64>,
+}
+
+/// Says what [`record`] would make; touches nothing.
+pub fn rehearse(options: &RecordOptions) -> Result<Rehearsal> {
+    let reader = Reader::open_with_fps(&options.input, options.image_fps)?;
+    check_output(options)?;
+    let info = reader.info();
+    let slow_motion = if reader.is_image_folder() { None } else { slow_motion(info, options.true_fps) };
+    Ok(Rehearsal {
+        width: info.width,
+        height: info.height,
+        rotation_degrees: info.rotation_degrees,
+        fps: info.fps * slow_motion.unwrap_or(1.0),
+        frame_count_estimate: info.frame_count_estimate,
+        slow_motion,
+    })
+}
+
 /// Makes a take from a video file or an image folder; the folder appears whole or not at all.
 pub fn record(options: &RecordOptions, reporter: &dyn Reporter) -> Result<RecordSummary> {
     let begun = Instant::now();

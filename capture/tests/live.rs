@@ -9,12 +9,14 @@ use std::path::Path;
 use std::time::Duration;
 
 use common::{ffmpeg, has_ffmpeg, names};
+use risorius_capture::check::{Level, check};
 use risorius_capture::live::journal::JournalRow;
 use risorius_capture::live::pipeline::{Ended, Plan, run};
 use risorius_capture::live::{LiveOptions, LiveSummary, measure_take, record_live, recover};
 use risorius_capture::negotiate::Choice;
 use risorius_capture::source::{FrameSource, Grab, Grabbed, Mode, PixelFormat, Rate, Rates, Started, Synthetic, open};
 use risorius_capture::{CaptureError, Result};
+use risorius_formats::report::Collected;
 use risorius_formats::{Silent, Take};
 use risorius_video::Reader;
 
@@ -237,6 +239,24 @@ fn what_was_there_comes_back_when_the_camera_gives_nothing() {
     assert!(again("synthetic:64x48@60", true).is_none());
     assert_ne!(fs::read(out.join("take.toml")).unwrap(), before);
     assert_eq!(names(dir.path()), ["take"]);
+}
+
+#[test]
+fn a_camera_that_does_not_keep_its_rate_is_told_of() {
+    let dir = tempfile::tempdir().unwrap();
+    let warnings = |device: &str, name: &str| {
+        let heard = Collected::default();
+        let out = dir.path().join(name);
+        record_live(open(device).unwrap(), &options(device, &out, 2.0), None, &heard).unwrap();
+        let report = check(&Take::open(&out).unwrap(), &Silent).unwrap();
+        (heard.count("rate-not-kept"), report.verdicts.into_iter().find(|v| v.topic == "rate").unwrap())
+    };
+    let (count, verdict) = warnings("synthetic:64x48@120,gives=60", "slow");
+    assert_eq!((count, verdict.level), (1, Level::Fair));
+    assert!(verdict.message.contains("instead of 120"), "{}", verdict.message);
+    // Frames that are lost on the way are not the camera's rate.
+    let (count, verdict) = warnings("synthetic:64x48@120,lose=20+21+22+23+24+25+26+27+28+29+30", "lossy");
+    assert_eq!((count, verdict.level), (0, Level::Good));
 }
 
 /// Plays access units as a camera would, some of them lost for want of memory.

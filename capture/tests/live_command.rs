@@ -212,6 +212,23 @@ fn what_the_camera_cannot_do_is_refused_with_what_it_can() {
 }
 
 #[test]
+fn a_dry_run_says_the_mode_and_touches_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = |extra: &[&str]| {
+        let args = [&["record", "--device", "synthetic:1280x720@119.88", "--out", "take", "--dry-run"], extra].concat();
+        capture(dir.path(), &args)
+    };
+    let text = stdout(&run(&["--fps", "120", "--script", "au"]));
+    assert!(text.contains("1280×720 at 119.88 mjpeg, for 120.0 s, into take"), "{text}");
+    assert_eq!(run(&["--fps", "240"]).status.code(), Some(1));
+    assert!(names(dir.path()).is_empty());
+    common::write_video(&dir.path().join("v.mp4"), 20, 60.0);
+    let file = capture(dir.path(), &["record", "--input", "v.mp4", "--out", "take", "--dry-run"]);
+    assert!(stdout(&file).contains("would make take of v.mp4: 20 frames, 96×64, 60.00 frames/s"), "{}", stdout(&file));
+    assert_eq!(names(dir.path()), ["v.mp4"]);
+}
+
+#[test]
 fn devices_are_listed_with_modes_and_controls() {
     let dir = tempfile::tempdir().unwrap();
     let output = capture(dir.path(), &["devices", "--device", "synthetic:1280x720@120", "--json"]);

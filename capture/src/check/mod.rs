@@ -59,6 +59,8 @@ pub struct CheckReport {
     pub duration_secs: f64,
     /// (frames − 1) / duration.
     pub fps_measured: f64,
+    /// Frames per second that were asked for, or that the container states.
+    pub fps_asked: Option<f64>,
     /// Root mean square deviation of the intervals from what is usual, milliseconds.
     pub jitter_ms: Option<f64>,
     /// Frames missing according to the times.
@@ -114,6 +116,7 @@ pub fn check(take: &Take, reporter: &dyn Reporter) -> Result<CheckReport> {
         frame_count: frames.len() as u32,
         duration_secs: times.last().map_or(0.0, |&t| t as f64 * 1e-9),
         fps_measured: timing::measured_fps(&times),
+        fps_asked: take.manifest.fps_asked,
         jitter_ms: timing::jitter_nanos(&times).map(|j| j * 1e-6),
         dropped_frames: frames.iter().map(|f| u64::from(f.dropped_before)).sum(),
         lost_by_driver: counted(|r| r.lost_before),

@@ -12,6 +12,8 @@ const LUMA_RANGE: std::ops::RangeInclusive<f32> = 50.0..=205.0;
 const LUMA_DRIFT: f32 = 20.0;
 /// Share of pixels that may be black or white.
 const CLIPPED: f32 = 0.05;
+/// A camera keeps its rate if it gives this share of it.
+const RATE_KEPT: f64 = 0.97;
 /// Below this rate blinks and quick lips fall between frames.
 const GOOD_FPS: f64 = 59.0;
 /// Fewer frames hardly make an avatar.
@@ -103,6 +105,12 @@ fn rate(r: &CheckReport, from_images: bool) -> Option<Verdict> {
         return None;
     }
     let text = format!("{:.2} frames/s", r.fps_measured);
+    // What is missing is told elsewhere; this is about what the camera gave.
+    let given = r.fps_measured * (1.0 + r.dropped_frames as f64 / f64::from(r.frame_count.max(1)));
+    if let Some(asked) = r.fps_asked.filter(|asked| r.lost_by_driver.is_some() && given < RATE_KEPT * asked) {
+        let advice = "the camera lowers its rate in dim light: add light, or shorten the exposure";
+        return Some(verdict("rate", Level::Fair, format!("{text} instead of {asked:.0}: {advice}")));
+    }
     Some(if r.fps_measured < GOOD_FPS {
         verdict(
             "rate",

@@ -5,10 +5,11 @@ use std::time::Duration;
 use clap::Args;
 use risorius_console::{Console, Failure};
 use risorius_formats::{Reporter, Warning};
+use serde::Serialize;
 
 use super::record::{RecordArgs, Settings};
 use crate::controls::{Exposure, Wishes};
-use crate::live::{LiveOptions, LiveSummary, Meter, Monitor, Undisturbed, measure_take, record_live};
+use crate::live::{LiveOptions, LiveSummary, Meter, Monitor, Undisturbed, measure_take, record_live, rehearse};
 use crate::negotiate::{Request, number};
 use crate::preview::Preview;
 use crate::script::{Prompt, Script};
@@ -161,6 +162,20 @@ pub(super) fn run(device: &str, args: &RecordArgs, settings: Settings, console: 
         script,
         ..LiveOptions::new(device, &args.out)
     };
+    if args.dry_run {
+        let choice = rehearse(source::open(device)?.as_mut(), &options)?;
+        let document = Rehearsal {
+            device,
+            format: choice.format.name(),
+            width: choice.width,
+            height: choice.height,
+            fps: choice.rate.fps(),
+            duration_secs: options.duration.map(|d| d.as_secs_f64()),
+        };
+        let length = document.duration_secs.map_or_else(|| "until Ctrl-C".to_owned(), |s| format!("for {s:.1} s"));
+        console.finish(&document, &format!("would record {device}: {choice}, {length}, into {}", args.out.display()));
+        return Ok(());
+    }
     let preview = live.preview.then(|| Preview::serve(live.preview_port.unwrap_or(0))).transpose()?;
     if let Some(preview) = &preview {
         console.say(&format!("preview: {}", preview.url()));
@@ -180,6 +195,17 @@ pub(super) fn run(device: &str, args: &RecordArgs, settings: Settings, console: 
             Err(failure.with_hint(hint))
         }
     }
+}
+
+/// What `--dry-run` says.
+#[derive(Serialize)]
+struct Rehearsal<'a> {
+    device: &'a str,
+    format: &'a str,
+    width: u32,
+    height: u32,
+    fps: f64,
+    duration_secs: Option<f64>,
 }
 
 fn text(s: &LiveSummary) -> String {

@@ -6,7 +6,7 @@ use clap::Args;
 use risorius_console::{Console, Failure, settings};
 use serde::Deserialize;
 
-use crate::record::{RecordOptions, RecordSummary, record};
+use crate::record::{RecordOptions, RecordSummary, record, rehearse};
 
 /// Options of `capture record`.
 #[derive(Args, Debug)]
@@ -22,7 +22,7 @@ pub(super) struct RecordArgs {
     /// A video file, or a folder of PNG or JPEG images in the order of their names.
     #[arg(long, value_name = "VIDEO|IMAGE_DIR", required_unless_present = "device", conflicts_with = "device")]
     input: Option<PathBuf>,
-    /// The take's folder; it appears whole or not at all.
+    /// The take's folder; of a file it appears whole or not at all, of a camera it grows and is playable at any time.
     #[arg(long, value_name = "TAKE")]
     pub(super) out: PathBuf,
     /// Refer to the input by its absolute path instead of copying it.
@@ -43,6 +43,9 @@ pub(super) struct RecordArgs {
     /// Frames per second at which a slow-motion clip was filmed, if its metadata do not tell.
     #[arg(long, value_name = "N", value_parser = parse_fps, conflicts_with = "device")]
     true_fps: Option<f64>,
+    /// Say what would be recorded, and record nothing.
+    #[arg(long)]
+    pub(super) dry_run: bool,
     /// A camera of `capture devices`, such as /dev/video0; `synthetic:1280x720@120` is one that is not there.
     #[arg(long, value_name = "ID", help_heading = "Camera")]
     device: Option<String>,
@@ -86,6 +89,20 @@ pub(super) fn run(args: &RecordArgs, console: &Console) -> Result<(), Failure> {
         image_fps: args.fps.or(settings_fps),
         true_fps: args.true_fps,
     };
+    if args.dry_run {
+        let planned = rehearse(&options)?;
+        let count = planned.frame_count_estimate.map_or_else(|| "?".to_owned(), |n| n.to_string());
+        let text = format!(
+            "would make {} of {}: {count} frames, {}×{}, {:.2} frames/s",
+            options.out.display(),
+            options.input.display(),
+            planned.width,
+            planned.height,
+            planned.fps
+        );
+        console.finish(&planned, &text);
+        return Ok(());
+    }
     let summary = record(&options, console)?;
     console.finish(&summary, &text(&summary));
     Ok(())

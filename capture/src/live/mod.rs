@@ -5,7 +5,10 @@ pub mod pipeline;
 pub mod queue;
 
 mod finish;
+mod grab;
 mod meter;
+mod pack;
+mod write;
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -142,9 +145,7 @@ pub fn record_live(
     monitor: &dyn Monitor,
 ) -> Result<LiveSummary> {
     let place = Place::check(options)?;
-    let modes = source.modes(options.request.size)?;
-    let choice = negotiate(&modes, &options.request)
-        .map_err(|refusal| CaptureError::Refused { device: options.device.clone(), refusal: Box::new(refusal) })?;
+    let choice = choose(source.as_mut(), options)?;
     let usual = if choice.format.raw().is_some() { USUAL_RAW_BUFFERS } else { USUAL_BUFFERS };
     let started = source.start(&choice, options.buffers.unwrap_or(usual).max(LEAST_BUFFERS))?;
     let changed = match prepare(source.as_mut(), options, &choice, &started, monitor) {
@@ -163,6 +164,18 @@ pub fn record_live(
         monitor.warn(Warning::new("controls-not-restored", message));
     }
     summarise(&dir, outcome, &started, not_restored, monitor)
+}
+
+/// The mode that a recording would take; a rehearsal, which touches nothing.
+pub fn rehearse(source: &mut dyn FrameSource, options: &LiveOptions) -> Result<Choice> {
+    Place::check(options)?;
+    choose(source, options)
+}
+
+fn choose(source: &mut dyn FrameSource, options: &LiveOptions) -> Result<Choice> {
+    let modes = source.modes(options.request.size)?;
+    negotiate(&modes, &options.request)
+        .map_err(|refusal| CaptureError::Refused { device: options.device.clone(), refusal: Box::new(refusal) })
 }
 
 /// Lets the camera settle and sets its controls.
@@ -287,6 +300,7 @@ fn summarise(
 ) -> Result<LiveSummary> {
     let Finished { manifest, frames, marks, .. } = finish(dir, &Undisturbed(reporter))?;
     let times: Vec<i64> = frames.iter().map(|f| f.timestamp_nanos).collect();
+    warn_of_rate(&manifest, started, reporter);
     let Totals { grabbed, lost, discarded, corrupt, bytes, waiting_peak_bytes, .. } = outcome.totals;
     let (ended, failure) = match outcome.ended {
         Ended::Complete => ("complete", None),
@@ -313,6 +327,25 @@ fn summarise(
         failure,
         manifest,
     })
+}
+
+/// A camera may promise a rate and keep another, as in dim light.
+const RATE_KEPT: f64 = 0.97;
+/// Over a shorter time the rate is not known.
+const RATE_KNOWN_SECS: f64 = 1.0;
+
+fn warn_of_rate(manifest: &TakeManifest, started: &Started, reporter: &dyn Reporter) {
+    let Some(promised) = started.rate.map(crate::source::Rate::fps) else { return };
+    // Frames that were lost on the way were given all the same.
+    let count = f64::from(manifest.frame_count);
+    let given = manifest.fps_measured * (1.0 + f64::from(manifest.dropped_frames) / count.max(1.0));
+    if given > 0.0 && given < RATE_KEPT * promised && count > RATE_KNOWN_SECS * given {
+        let device = manifest.device.as_deref().unwrap_or_default();
+        let message = format!(
+            "{device}: gave {given:.1} frames/s instead of {promised:.1}: more light, or a shorter `--exposure`, lets it keep its rate"
+        );
+        reporter.warn(Warning::new("rate-not-kept", message));
+    }
 }
 
 /// Where the take is going to be, and what was there before: put back if nothing comes of the recording.

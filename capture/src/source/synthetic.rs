@@ -33,6 +33,8 @@ pub struct Faults {
     pub unplugged_after: Option<u32>,
     /// The first sequence number; close to 2³² it wraps.
     pub first_sequence: u32,
+    /// Frames per second that it gives, whatever it promises.
+    pub fps_given: Option<f64>,
     /// Times are given with this much of noise, microseconds.
     pub jitter_micros: u32,
 }
@@ -86,6 +88,7 @@ impl Synthetic {
                 Some(("corrupt", list)) => this.faults.corrupt = numbers(list)?,
                 Some(("unplug", n)) => this.faults.unplugged_after = Some(n.parse().map_err(|_| wrong(part))?),
                 Some(("first", n)) => this.faults.first_sequence = n.parse().map_err(|_| wrong(part))?,
+                Some(("gives", n)) => this.faults.fps_given = Some(n.parse().map_err(|_| wrong(part))?),
                 Some(("jitter", n)) => this.faults.jitter_micros = n.parse().map_err(|_| wrong(part))?,
                 Some(_) => return Err(wrong(part)),
                 None => match part.split_once('@') {
@@ -167,7 +170,8 @@ impl FrameSource for Synthetic {
         let pictures = pictures(self.format, self.width, self.height);
         let shared = Arc::new(Shared::default());
         lock(&shared.state).empty = vec![Vec::new(); buffers as usize];
-        let (fps, faults, theirs, format) = (self.fps, self.faults.clone(), Arc::clone(&shared), self.format);
+        let fps = self.faults.fps_given.filter(|f| *f > 0.0).unwrap_or(self.fps);
+        let (faults, theirs, format) = (self.faults.clone(), Arc::clone(&shared), self.format);
         let driver = std::thread::spawn(move || drive(&theirs, &pictures, format, fps, &faults));
         self.running = Some(Running { shared, driver: Some(driver) });
         let stride = self.format.raw().map_or(0, |raw| raw.row_bytes(self.width));

@@ -23,6 +23,8 @@ const READABLE: i16 = 1;
 /// `ENODEV`: the camera has gone.
 const GONE: i32 = 19;
 const BUSY: i32 = 16;
+/// `EIO` and `EAGAIN`: this one failed, the next may come.
+const PASSING: [i32; 2] = [5, 11];
 /// Controls after the last one.
 const NEXT: u32 = 0x8000_0000;
 /// Disabled, read-only, inactive, write-only.
@@ -35,6 +37,8 @@ pub(super) struct Camera {
     path: String,
     device: Device,
     stream: Option<Stream<'static>>,
+    /// The last attempt gave its buffer back and got none.
+    holds_none: bool,
 }
 
 impl Camera {
@@ -53,7 +57,7 @@ impl Camera {
         if !streams.contains(Caps::VIDEO_CAPTURE) || !streams.contains(Caps::STREAMING) {
             return Err(CaptureError::NotACamera { device: path });
         }
-        Ok(Self { path, device, stream: None })
+        Ok(Self { path, device, stream: None, holds_none: false })
     }
 
     fn fail(&self, action: &'static str, error: &io::Error) -> CaptureError {
@@ -197,6 +201,15 @@ impl FrameSource for Camera {
             Err(e) if e.kind() == io::ErrorKind::Interrupted => return Ok(Grab::Timeout),
             Err(e) => return Err(self.fail("wait for a frame", &e)),
         }
+        if self.holds_none {
+            // There is no buffer to give back; this one's frame is let go, and its number tells of it.
+            match CaptureStream::dequeue(stream) {
+                Ok(_) => self.holds_none = false,
+                Err(e) if PASSING.contains(&e.raw_os_error().unwrap_or(0)) => {}
+                Err(e) => return Err(self.fail("take a frame", &e)),
+            }
+            return Ok(Grab::Timeout);
+        }
         // This gives back the buffer of the frame before, which has been copied, and takes the next.
         match stream.next() {
             Ok((bytes, meta)) => {
@@ -208,6 +221,10 @@ impl FrameSource for Camera {
                 frame.driver_nanos = (nanos != 0).then_some(nanos);
                 frame.is_corrupt = meta.flags.contains(Flags::ERROR) || used == 0;
                 Ok(Grab::Frame)
+            }
+            Err(e) if PASSING.contains(&e.raw_os_error().unwrap_or(0)) => {
+                self.holds_none = true;
+                Ok(Grab::Timeout)
             }
             Err(e) => Err(self.fail("take a frame", &e)),
         }
