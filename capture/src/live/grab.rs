@@ -56,7 +56,8 @@ pub(super) fn grab(
         }
         shared.counters.time_nanos.store(time_nanos, Ordering::Relaxed);
         offer_sample(shared, &frame.data);
-        let charged = frame.data.len() + OVERHEAD;
+        // What it holds, which may be more than it fills.
+        let charged = frame.data.capacity() + OVERHEAD;
         if !shared.budget.take(charged) {
             missing.discarded += 1;
             count(&shared.counters.discarded, 1);

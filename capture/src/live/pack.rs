@@ -38,7 +38,7 @@ pub(super) fn pack(
                 if !std::mem::take(&mut is_first) {
                     packet.codec = None;
                 }
-                let charged = packet.data.len() + OVERHEAD;
+                let charged = packet.data.capacity() + OVERHEAD;
                 shared.budget.exchange(packet.charged, charged);
                 packet.charged = charged;
                 to.push(packet);
@@ -86,9 +86,9 @@ fn pack_raw(
         packet.data.chunks(started.stride).for_each(|padded| tight.extend_from_slice(&padded[..row.min(padded.len())]));
         shared.pool.give(std::mem::replace(&mut packet.data, tight));
     }
-    let mut coded = shared.pool.take();
+    let mut coded = shared.coded_pool.take();
     if !encoder.encode(&packet.data, &mut coded) {
-        shared.pool.give(coded);
+        shared.coded_pool.give(coded);
         return Packed::Corrupt;
     }
     shared.pool.give(std::mem::replace(&mut packet.data, coded));

@@ -97,6 +97,8 @@ pub(super) struct Shared {
     pub(super) counters: Counters,
     pub(super) budget: Budget,
     pub(super) pool: Pool,
+    /// Coded frames are half as large as raw ones: in buffers of their own they leave none half empty.
+    pub(super) coded_pool: Pool,
     pub(super) stop: AtomicBool,
     pub(super) wants_sample: AtomicBool,
     pub(super) sample: Mutex<Option<Vec<u8>>>,
@@ -203,6 +205,7 @@ pub fn run<W: Write + Send>(
         counters: Counters::default(),
         budget: Budget::new(plan.memory_bytes),
         pool: Pool::default(),
+        coded_pool: Pool::default(),
         stop: AtomicBool::new(false),
         wants_sample: AtomicBool::new(false),
         sample: Mutex::new(None),

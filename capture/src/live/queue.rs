@@ -116,7 +116,7 @@ impl<T> Drop for Closing<'_, T> {
 pub(super) struct Pool(Mutex<Vec<Vec<u8>>>);
 
 /// More are let go.
-const POOLED: usize = 8;
+const POOLED: usize = 4;
 
 impl Pool {
     pub(super) fn take(&self) -> Vec<u8> {

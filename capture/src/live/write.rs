@@ -32,6 +32,7 @@ pub(super) fn write<W: Write>(
         }
         Ok(())
     };
+    let pool = if started.format.raw().is_some() { &shared.coded_pool } else { &shared.pool };
     while let Some(packet) = queue.pop() {
         if failure.is_some() {
             shared.counters.discarded.fetch_add(1, Ordering::Relaxed);
@@ -59,7 +60,7 @@ pub(super) fn write<W: Write>(
             }
         }
         shared.budget.give(packet.charged);
-        shared.pool.give(packet.data);
+        pool.give(packet.data);
     }
     if failure.is_none()
         && let Some(writer) = &mut writer

@@ -147,6 +147,7 @@ impl UtEncoder {
                 c.encode(|residuals| other_plane(raw, picture, w, h, 1, residuals));
             },
         );
+        out.reserve_exact(self.planes.iter().map(|p| p.coded.len()).sum::<usize>() + 4);
         for plane in &self.planes {
             out.extend_from_slice(&plane.coded);
         }
