@@ -163,6 +163,11 @@ fn blur_darkness_and_a_missing_video_are_told() {
     fs::remove_dir_all(&frames).unwrap();
     let report = check(&take, &Silent).unwrap();
     assert!(!report.media_intact && report.overall == Level::Poor);
+    // A track that cannot be read is told of, and no more.
+    fs::create_dir(take.dir.join("track")).unwrap();
+    fs::write(take.openface_path(), "no table").unwrap();
+    let heard = Collected::default();
+    assert!(check(&take, &heard).unwrap().orbit.is_none() && heard.count("unreadable-track") == 1);
 }
 
 #[test]

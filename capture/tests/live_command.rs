@@ -24,8 +24,9 @@ fn start(dir: &Path, args: &[&str]) -> Child {
 }
 
 /// Waits until the video has grown to `bytes`.
-fn wait_for(video: &Path, bytes: u64) {
+fn wait_for(child: &mut Child, video: &Path, bytes: u64) {
     while fs::metadata(video).map_or(0, |m| m.len()) < bytes {
+        assert!(child.try_wait().unwrap().is_none(), "the recording ended by itself");
         std::thread::sleep(Duration::from_millis(20));
     }
 }
@@ -60,7 +61,7 @@ fn a_killed_recording_is_playable_and_recovered() {
             "take",
         ],
     );
-    wait_for(&video, 1_000_000);
+    wait_for(&mut child, &video, 1_000_000);
     signal(&child, "-KILL");
     child.wait().unwrap();
     let size = fs::metadata(&video).unwrap().len();
@@ -91,7 +92,7 @@ fn a_killed_recording_is_playable_and_recovered() {
 #[test]
 fn ctrl_c_ends_a_recording_properly() {
     let dir = tempfile::tempdir().unwrap();
-    let child = start(
+    let mut child = start(
         dir.path(),
         &[
             "record",
@@ -106,7 +107,7 @@ fn ctrl_c_ends_a_recording_properly() {
             "64",
         ],
     );
-    wait_for(&dir.path().join("take/video.mp4"), 500_000);
+    wait_for(&mut child, &dir.path().join("take/video.mp4"), 500_000);
     signal(&child, "-INT");
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));

@@ -7,7 +7,7 @@ mod page;
 mod verdicts;
 
 use risorius_formats::take::SourceKind;
-use risorius_formats::{FrameRecord, Reporter, Take};
+use risorius_formats::{FrameRecord, Reporter, Take, Warning};
 use risorius_video::Reader;
 use serde::Serialize;
 
@@ -129,7 +129,11 @@ pub fn check(take: &Take, reporter: &dyn Reporter) -> Result<CheckReport> {
         blurred_frames: blurred_frames(frames).len() as u32,
         motion_blur: blur::motion_blur(frames),
         flicker: flicker::flicker(&luma, timing::measured_fps(&times)),
-        orbit: orbit::orbit(take)?,
+        // A damaged track is the tracker's trouble; the rest of the take can be judged without it.
+        orbit: orbit::orbit(take).unwrap_or_else(|e| {
+            reporter.warn(Warning::new("unreadable-track", format!("{e}; the orbit is not judged")));
+            None
+        }),
         luma_median: median(&luma),
         luma_drift: quantile(&luma, 0.95).zip(quantile(&luma, 0.05)).map(|(high, low)| high - low),
         clipped_median: median(&clipped),

@@ -57,7 +57,7 @@ pub(super) struct LiveArgs {
     #[arg(long, value_name = "N", conflicts_with = "input", value_parser = clap::value_parser!(u32).range(8..=64), help_heading = "Camera")]
     buffers: Option<u32>,
     /// What may wait for a slow disk; then frames are dropped, and counted.
-    #[arg(long, value_name = "MB", conflicts_with = "input", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536), help_heading = "Camera")]
+    #[arg(long, value_name = "MB", conflicts_with = "input", default_value_t = 48, value_parser = clap::value_parser!(u32).range(1..=65_536), help_heading = "Camera")]
     memory_mb: u32,
     /// Leave sharpness and exposure of the frames out, which are measured after the recording.
     #[arg(long, conflicts_with = "input", help_heading = "Camera")]

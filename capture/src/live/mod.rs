@@ -39,7 +39,7 @@ const USUAL_BUFFERS: u32 = 32;
 /// The same for raw frames, which need ten times the memory.
 const USUAL_RAW_BUFFERS: u32 = 16;
 /// What may wait for the disk unless something else is asked for.
-pub const USUAL_MEMORY_BYTES: usize = 64 << 20;
+pub const USUAL_MEMORY_BYTES: usize = 48 << 20;
 /// Room for the tables of a take: 14,400 rows take 1.5 MB.
 const RESERVED_BYTES: usize = 4 << 20;
 /// After controls were set, frames of before are still on their way.
