@@ -1,8 +1,10 @@
-//! The cameras that the kernel knows.
+//! The cameras that the system knows, and what they can do.
 
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
+
+use crate::source::{self, Control, Mode};
 
 /// Where Linux lists its video devices.
 pub const SYSFS: &str = "/sys/class/video4linux";
@@ -35,6 +37,43 @@ pub fn devices(sysfs: &Path) -> Vec<Device> {
         .collect();
     found.sort_by_key(|(number, _)| *number);
     found.into_iter().map(|(_, device)| device).collect()
+}
+
+/// A camera with what it can do.
+#[derive(Clone, Debug, Serialize)]
+pub struct Camera {
+    /// What `--device` takes.
+    pub id: String,
+    /// What its driver calls it.
+    pub name: String,
+    /// Its modes that can be recorded.
+    pub modes: Vec<Mode>,
+    /// Its controls.
+    pub controls: Vec<Control>,
+    /// Why it could not be asked, if so.
+    pub error: Option<String>,
+}
+
+/// The cameras of the kernel's list in `sysfs` and of the other backends, each asked for its modes and controls.
+///
+/// One that cannot be opened, as another program uses it or the user may not, is listed with the reason.
+pub fn cameras(sysfs: &Path) -> Vec<Camera> {
+    let known = devices(sysfs).into_iter().map(|d| (d.id.display().to_string(), d.name));
+    known.chain(source::other_cameras()).map(|(id, name)| ask(id, name)).collect()
+}
+
+/// Asks one camera.
+pub fn ask(id: String, name: String) -> Camera {
+    let asked = source::open(&id).and_then(|mut camera| {
+        let modes = camera.modes(None)?;
+        Ok((camera.name(), modes, camera.controls()?))
+    });
+    match asked {
+        Ok((own, modes, controls)) => {
+            Camera { id, name: if name.is_empty() { own } else { name }, modes, controls, error: None }
+        }
+        Err(e) => Camera { id, name, modes: Vec::new(), controls: Vec::new(), error: Some(e.to_string()) },
+    }
 }
 
 #[cfg(test)]

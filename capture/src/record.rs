@@ -1,22 +1,19 @@
 //! A video file or an image folder to a take.
 //!
-//! One thread decodes and compares neighbours, the workers of the thread pool measure, one thread copies and hashes the
-//! media: a bounded channel between them keeps the memory constant, whatever the length of the video.
+//! The media are copied and hashed while the frames are decoded and measured.
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc;
 use std::time::Instant;
 
-use rayon::iter::{ParallelBridge, ParallelIterator};
 use risorius_formats::atomic::{AtomicDir, check_replaceable};
-use risorius_formats::frame::{self, FrameIndex, FrameRecord};
+use risorius_formats::frame::{self, FrameRecord};
 use risorius_formats::take::{SourceKind, TAKE_VERSION};
 use risorius_formats::{FormatError, Reporter, TakeManifest, Warning};
-use risorius_video::{Frame, Reader, Truncation};
+use risorius_video::Reader;
 use serde::Serialize;
 
+use crate::measure::{Pictures, measure_all};
 use crate::media::{self, Media};
-use crate::quality::{self, Quality, Samples};
 use crate::timing;
 use crate::{CaptureError, Result};
 
@@ -37,6 +34,8 @@ pub struct RecordOptions {
     pub consent: String,
     /// Frame rate of an image folder; 30 when `None`.
     pub image_fps: Option<f64>,
+    /// Frames per second at which a slow-motion clip was filmed; its metadata tell when `None`.
+    pub true_fps: Option<f64>,
 }
 
 /// What a take turned out to be.
@@ -54,10 +53,45 @@ pub struct RecordSummary {
     pub luma_median: Option<f32>,
     /// Median of the frames' clipped share, 0–1.
     pub clipped_median: Option<f32>,
+    /// How many times slower than filmed a slow-motion clip plays; the take's times are those of filming.
+    pub slow_motion: Option<f64>,
     /// How many frames the container announces, when the file ends before them.
     pub truncated_from: Option<u64>,
     /// How long it took, seconds.
     pub elapsed_secs: f64,
+}
+
+/// What a take would be made of, as far as the container tells.
+#[derive(Clone, Debug, Serialize)]
+pub struct Rehearsal {
+    /// Upright width, pixels.
+    pub width: u32,
+    /// Upright height, pixels.
+    pub height: u32,
+    /// Rotation that is applied, degrees clockwise.
+    pub rotation_degrees: u32,
+    /// Frames per second as the take would have them.
+    pub fps: f64,
+    /// Number of frames, an estimate for containers other than MP4 and MOV.
+    pub frame_count_estimate: Option<u64>,
+    /// How many times slower than filmed it plays.
+    pub slow_motion: Option<f64>,
+}
+
+/// Says what [`record`] would make; touches nothing.
+pub fn rehearse(options: &RecordOptions) -> Result<Rehearsal> {
+    let reader = Reader::open_with_fps(&options.input, options.image_fps)?;
+    check_output(options)?;
+    let info = reader.info();
+    let slow_motion = if reader.is_image_folder() { None } else { slow_motion(info, options.true_fps) };
+    Ok(Rehearsal {
+        width: info.width,
+        height: info.height,
+        rotation_degrees: info.rotation_degrees,
+        fps: info.fps * slow_motion.unwrap_or(1.0),
+        frame_count_estimate: info.frame_count_estimate,
+        slow_motion,
+    })
 }
 
 /// Makes a take from a video file or an image folder; the folder appears whole or not at all.
@@ -72,6 +106,14 @@ pub fn record(options: &RecordOptions, reporter: &dyn Reporter) -> Result<Record
         reporter.warn(Warning::new(
             "fps-ignored",
             format!("{}: the frame rate is for image folders; a video has its own times", options.input.display()),
+        ));
+    }
+    let slow_motion = if is_folder { None } else { slow_motion(&info, options.true_fps) };
+    if let Some(factor) = slow_motion {
+        reporter.note(&format!(
+            "slow motion: plays {:.2} frames/s, filmed at {:.2}; the times are those of filming",
+            info.fps,
+            factor * info.fps
         ));
     }
     let dir = AtomicDir::create(&options.out)?;
@@ -98,8 +140,14 @@ pub fn record(options: &RecordOptions, reporter: &dyn Reporter) -> Result<Record
         );
         reporter.warn(Warning::new("truncated-video", message));
     }
-    let Pictures { frames, truncation } = pictures;
-    let manifest = manifest(options, &info, is_folder, media, &frames);
+    let Pictures { mut frames, truncation } = pictures;
+    if let Some(factor) = slow_motion {
+        for frame in &mut frames {
+            frame.timestamp_nanos = (frame.timestamp_nanos as f64 / factor).round() as i64;
+        }
+    }
+    let fps_asked = slow_motion.unwrap_or(1.0) * info.fps;
+    let manifest = manifest(options, &info, is_folder, fps_asked, media, &frames);
     frame::write_frames(dir.path().join("frames.csv"), &frames)?;
     manifest.write(dir.path().join("take.toml"))?;
     if reporter.cancelled() {
@@ -114,10 +162,21 @@ pub fn record(options: &RecordOptions, reporter: &dyn Reporter) -> Result<Record
         sharpness_median: of(|f| f.sharpness),
         luma_median: of(|f| f.luma_mean),
         clipped_median: of(|f| f.clipped_share),
+        slow_motion,
         truncated_from: truncation.map(|t| t.expected),
         manifest,
         elapsed_secs: begun.elapsed().as_secs_f64(),
     })
+}
+
+/// Rates closer than this are not slow motion but rounding.
+const SLOWED: f64 = 1.2;
+
+/// How many times slower than filmed a clip plays: by `true_fps`, or by its metadata. A phone's clip that says 240 and
+/// plays 240 was not slowed.
+fn slow_motion(info: &risorius_video::VideoInfo, true_fps: Option<f64>) -> Option<f64> {
+    let factor = true_fps.or(info.capture_fps.filter(|fps| *fps > SLOWED * info.fps))? / info.fps;
+    (factor.is_finite() && factor > 0.0 && (factor - 1.0).abs() > 1e-6).then_some(factor)
 }
 
 /// Refuses to replace what is not to be replaced.
@@ -137,84 +196,11 @@ fn check_output(options: &RecordOptions) -> Result<()> {
     Ok(())
 }
 
-struct Pictures {
-    frames: Vec<FrameRecord>,
-    truncation: Option<Truncation>,
-}
-
-struct Measured {
-    index: u32,
-    timestamp_nanos: i64,
-    quality: Quality,
-}
-
-fn measure_all(reader: Reader, reporter: &dyn Reporter) -> Result<Pictures> {
-    let depth = 2 * rayon::current_num_threads();
-    let (sender, receiver) = mpsc::sync_channel::<Frame>(depth);
-    std::thread::scope(|scope| {
-        let decoding = scope.spawn(move || decode(reader, &sender, reporter));
-        let mut measured: Vec<Measured> = receiver
-            .into_iter()
-            .par_bridge()
-            .map(|frame| {
-                let quality = quality::measure(&frame.image);
-                reporter.advance(1);
-                Measured { index: frame.index, timestamp_nanos: frame.timestamp_nanos, quality }
-            })
-            .collect();
-        let (differences, truncation) = decoding.join().unwrap_or(Err(CaptureError::Thread { part: "decoding" }))?;
-        measured.sort_unstable_by_key(|m| m.index);
-        Ok(Pictures { frames: to_records(&measured, &differences), truncation })
-    })
-}
-
-/// Decodes to the end; gives how much each frame differs from the one before.
-fn decode(
-    mut reader: Reader,
-    sender: &mpsc::SyncSender<Frame>,
-    reporter: &dyn Reporter,
-) -> Result<(Vec<f32>, Option<Truncation>)> {
-    let mut differences = Vec::new();
-    let mut before: Option<Samples> = None;
-    while let Some(frame) = reader.next_frame()? {
-        if reporter.cancelled() {
-            return Err(CaptureError::Interrupted);
-        }
-        let samples = Samples::of(&frame.image);
-        if let Some(before) = before.replace(samples.clone()) {
-            differences.push(samples.difference(&before));
-        }
-        if sender.send(frame).is_err() {
-            return Err(CaptureError::Thread { part: "measuring" });
-        }
-    }
-    Ok((differences, reader.truncation()))
-}
-
-fn to_records(measured: &[Measured], differences: &[f32]) -> Vec<FrameRecord> {
-    let times: Vec<i64> = measured.iter().map(|m| m.timestamp_nanos).collect();
-    let dropped = timing::dropped_before(&times);
-    let repeated = timing::repeated(differences);
-    let judged = dropped.into_iter().zip(repeated);
-    measured
-        .iter()
-        .zip(judged)
-        .map(|(m, (dropped_before, repeated))| FrameRecord {
-            index: FrameIndex(m.index),
-            timestamp_nanos: m.timestamp_nanos,
-            dropped_before,
-            repeated,
-            sharpness: Some(m.quality.sharpness),
-            luma_mean: Some(m.quality.luma_mean),
-            clipped_share: Some(m.quality.clipped_share),
-        })
-        .collect()
-}
-
 fn manifest(
     options: &RecordOptions,
     info: &risorius_video::VideoInfo,
     is_folder: bool,
+    fps_asked: f64,
     media: Media,
     frames: &[FrameRecord],
 ) -> TakeManifest {
@@ -233,7 +219,7 @@ fn manifest(
         width: info.width,
         height: info.height,
         rotation_degrees: info.rotation_degrees,
-        fps_asked: Some(info.fps),
+        fps_asked: Some(fps_asked),
         fps_measured: timing::measured_fps(&times),
         frame_count: frames.len() as u32,
         dropped_frames: frames.iter().map(|f| f.dropped_before).fold(0, u32::saturating_add),

@@ -19,7 +19,11 @@ const BLURRED: Rgb<u8> = Rgb([220, 60, 40]);
 
 /// Writes 24 frames, evenly spread over the take, to a PNG file; blurred ones have a red border.
 pub fn write_sheet(take: &Take, path: impl AsRef<Path>) -> Result<()> {
-    let path = path.as_ref();
+    Ok(atomic::write_file(path, &sheet_png(take)?)?)
+}
+
+/// The same as the bytes of a PNG file.
+pub(crate) fn sheet_png(take: &Take) -> Result<Vec<u8>> {
     let (width, height) = (take.manifest.width.max(1), take.manifest.height.max(1));
     let scale = f64::from(CELL) / f64::from(width.max(height));
     let size = |side: u32| ((f64::from(side) * scale).round() as u32).max(1);
@@ -42,9 +46,8 @@ pub fn write_sheet(take: &Take, path: impl AsRef<Path>) -> Result<()> {
     let mut bytes = std::io::Cursor::new(Vec::new());
     sheet
         .write_to(&mut bytes, ImageFormat::Png)
-        .map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(path))?;
-    atomic::write_file(path, bytes.get_ref())?;
-    Ok(())
+        .map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(take.media_path()))?;
+    Ok(bytes.into_inner())
 }
 
 /// The `i`-th of `count` frames spread over `total`, first and last included.

@@ -1,4 +1,5 @@
 //! `record` and `check` as a library: what a take holds, and how it is judged.
+#![expect(clippy::unwrap_used, reason = "helpers of tests")]
 
 mod common;
 
@@ -162,6 +163,11 @@ fn blur_darkness_and_a_missing_video_are_told() {
     fs::remove_dir_all(&frames).unwrap();
     let report = check(&take, &Silent).unwrap();
     assert!(!report.media_intact && report.overall == Level::Poor);
+    // A track that cannot be read is told of, and no more.
+    fs::create_dir(take.dir.join("track")).unwrap();
+    fs::write(take.openface_path(), "no table").unwrap();
+    let heard = Collected::default();
+    assert!(check(&take, &heard).unwrap().orbit.is_none() && heard.count("unreadable-track") == 1);
 }
 
 #[test]
@@ -212,4 +218,113 @@ fn stopped_work_leaves_nothing() {
     let stopped = record(&options(dir.path().join("v.mp4"), dir.path().join("take")), &Impatient(0.into()));
     assert!(matches!(stopped, Err(CaptureError::Interrupted)));
     assert_eq!(names(dir.path()), ["v.mp4"]);
+}
+
+/// Adds the metadata of an Android phone to an MP4 file whose index comes last: how fast it was filmed.
+fn add_capture_fps(video: &Path, fps: f32) {
+    let boxed = |name: &[u8; 4], parts: &[&[u8]]| {
+        let body = parts.concat();
+        [&(body.len() as u32 + 8).to_be_bytes()[..], name, &body].concat()
+    };
+    let name = b"com.android.capture.fps";
+    let key = boxed(b"mdta", &[name]);
+    let keys = boxed(b"keys", &[&[0, 0, 0, 0, 0, 0, 0, 1], &key]);
+    let data = boxed(b"data", &[&[0, 0, 0, 23, 0, 0, 0, 0], &fps.to_be_bytes()]);
+    let ilst = boxed(b"ilst", &[&boxed(&[0, 0, 0, 1], &[&data])]);
+    let handler = boxed(b"hdlr", &[&[0; 8], b"mdta", &[0; 13]]);
+    let meta = boxed(b"meta", &[&handler, &keys, &ilst]);
+    let mut bytes = fs::read(video).unwrap();
+    let at = bytes.windows(4).rposition(|w| w == b"moov").unwrap() - 4;
+    let size = u32::from_be_bytes(bytes[at..at + 4].try_into().unwrap());
+    assert_eq!(at + size as usize, bytes.len(), "the index comes last");
+    bytes[at..at + 4].copy_from_slice(&(size + meta.len() as u32).to_be_bytes());
+    bytes.extend(meta);
+    fs::write(video, bytes).unwrap();
+}
+
+#[test]
+fn slow_motion_has_the_times_of_filming() {
+    let dir = tempfile::tempdir().unwrap();
+    let video = dir.path().join("slow.mp4");
+    write_video(&video, 48, 30.0);
+    let made = |name: &str, true_fps: Option<f64>| {
+        let wanted = RecordOptions { true_fps, ..options(&video, dir.path().join(name)) };
+        record(&wanted, &Silent).unwrap()
+    };
+    let plain = made("plain", None);
+    assert_eq!((plain.slow_motion, plain.manifest.fps_measured.round()), (None, 30.0));
+    let told = made("told", Some(120.0));
+    assert!((told.manifest.fps_measured - 120.0).abs() < 0.01 && (told.slow_motion.unwrap() - 4.0).abs() < 1e-6);
+    add_capture_fps(&video, 240.0);
+    let found = made("found", None);
+    assert!((found.manifest.fps_measured - 240.0).abs() < 0.1, "{}", found.manifest.fps_measured);
+    let take = Take::open(dir.path().join("found")).unwrap();
+    assert!((take.frames[47].timestamp_nanos - 47_000_000_000 / 240).abs() < 1000);
+    assert_eq!((take.manifest.frame_count, take.manifest.dropped_frames), (48, 0));
+    assert_eq!(found.manifest.media_sha256, hash::sha256_of_file(&video).unwrap(), "the clip itself is kept as it is");
+    // Filmed and played at 240: nothing to do.
+    let fast = dir.path().join("fast.mp4");
+    write_video(&fast, 48, 240.0);
+    add_capture_fps(&fast, 240.0);
+    let plain = record(&options(&fast, dir.path().join("fast")), &Silent).unwrap();
+    assert_eq!((plain.slow_motion, plain.manifest.fps_measured.round()), (None, 240.0));
+}
+
+#[test]
+fn a_phones_turned_hevc_clip_of_uneven_rate_is_kept_and_read() {
+    if !has_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let (flat, video) = (dir.path().join("flat.mov"), dir.path().join("phone.mov"));
+    // Every third frame of the second half is left out, as phones do in dim light.
+    let select = "-vf select='lt(n\\,60)+not(eq(mod(n\\,3)\\,1))' -vsync vfr";
+    let source = "-f lavfi -i testsrc2=size=160x96:rate=120:duration=1";
+    ffmpeg(&format!("{source} {select} -c:v libx265 -tag:v hvc1 -x265-params log-level=none -pix_fmt yuv420p"), &flat);
+    ffmpeg(&format!("-i {} -c copy -metadata:s:v:0 rotate=90", flat.display()), &video);
+    let summary = record(&options(&video, dir.path().join("take")), &Silent).unwrap();
+    let m = &summary.manifest;
+    assert_eq!((m.frame_count, m.width, m.height, m.rotation_degrees % 180), (100, 96, 160, 90));
+    let take = Take::open(dir.path().join("take")).unwrap();
+    let steps: Vec<i64> =
+        take.frames.windows(2).map(|w| (w[1].timestamp_nanos - w[0].timestamp_nanos) / 1_000_000).collect();
+    assert!(steps[..59].iter().all(|s| *s == 8) && steps[62..].contains(&16), "{steps:?}");
+    assert_eq!(hash::sha256_of_file(take.media_path()).unwrap(), hash::sha256_of_file(&video).unwrap());
+}
+
+#[test]
+fn flicker_and_motion_blur_are_told_and_the_report_is_one_page() {
+    let dir = tempfile::tempdir().unwrap();
+    let frames = dir.path().join("frames");
+    fs::create_dir(&frames).unwrap();
+    for i in 0..256u32 {
+        // Lamps on 50 Hz, filmed at 120: a beat of 20 Hz. The picture runs and is blurred for a part of each second.
+        let pulse = 1.0 + 0.06 * (std::f64::consts::TAU * 20.0 * f64::from(i) / 120.0).sin();
+        let runs = i % 64 >= 32;
+        let mut image = picture(96, 64, if runs { 5 * i } else { i / 8 });
+        if runs {
+            image = image::imageops::blur(&image, 0.9);
+        }
+        image.pixels_mut().for_each(|p| p.0 = p.0.map(|v| (f64::from(v) * pulse) as u8));
+        image.save(frames.join(format!("{i:03}.png"))).unwrap();
+    }
+    let mut wanted = options(&frames, dir.path().join("take"));
+    wanted.image_fps = Some(120.0);
+    record(&wanted, &Silent).unwrap();
+    let take = Take::open(dir.path().join("take")).unwrap();
+    let report = check(&take, &Silent).unwrap();
+    let flicker = report.flicker.unwrap();
+    assert!((flicker.frequency_hz - 20.0).abs() < 0.5 && flicker.mains_hz == Some(50), "{flicker:?}");
+    assert!(report.motion_blur.unwrap() > 0.4, "{report:?}");
+    for (topic, words) in [("flicker", "50 Hz"), ("motion-blur", "move more slowly")] {
+        assert!(
+            report.verdicts.iter().any(|v| v.topic == topic && v.level > Level::Good && v.message.contains(words)),
+            "{:?}",
+            report.verdicts
+        );
+    }
+    let page = dir.path().join("report.html");
+    risorius_capture::check::write_page(&take, &report, &page).unwrap();
+    let page = fs::read_to_string(page).unwrap();
+    assert!(page.matches("<svg").count() == 5 && page.contains("data:image/png;base64,") && page.contains("50 Hz"));
 }

@@ -50,6 +50,9 @@ pub struct FrameRecord {
     pub sharpness: Option<f32>,
     /// Mean luma, 0–255.
     pub luma_mean: Option<f32>,
+    /// Mean absolute difference of the luma from the frame before, 8-bit levels; absent in older tables.
+    #[serde(default)]
+    pub motion: Option<f32>,
     /// Share of pixels at the ends of the range (luma ≤ 2 or ≥ 253), 0–1.
     pub clipped_share: Option<f32>,
 }

@@ -114,6 +114,11 @@ impl Take {
         let text = std::fs::read_to_string(&path).map_err(|e| {
             let error = FormatError::io(&path, "read", &e);
             match e.kind() {
+                std::io::ErrorKind::NotFound if dir.join("recording.toml").exists() => {
+                    FormatError::new(ErrorKind::Inconsistent, "is a recording that was not finished")
+                        .in_file(&dir)
+                        .with_hint(format!("make it whole with `capture recover {}`", dir.display()))
+                }
                 std::io::ErrorKind::NotFound => error
                     .with_hint("this folder is not a take; make one with `capture record --input VIDEO --out TAKE`"),
                 _ => error,

@@ -2,7 +2,9 @@
 
 mod check;
 mod devices;
+mod live;
 mod record;
+mod recover;
 
 use clap::{Parser, Subcommand};
 use risorius_console::{Common, CommonArgs, Console, Failure};
@@ -20,12 +22,14 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// List the cameras that the system knows.
+    /// List the cameras with their modes, frame rates and controls.
     Devices(devices::DevicesArgs),
-    /// Make a take from a video file or a folder of images.
-    Record(record::RecordArgs),
+    /// Make a take from a camera, a video file or a folder of images.
+    Record(Box<record::RecordArgs>),
     /// Say what a take is worth: times, sharpness, exposure.
     Check(check::CheckArgs),
+    /// Make a take of a recording that was cut off.
+    Recover(recover::RecoverArgs),
 }
 
 impl Common for Cli {
@@ -37,12 +41,13 @@ impl Common for Cli {
 /// Runs the command.
 pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     match &cli.command {
-        Command::Devices(_) => {
-            devices::run(console);
+        Command::Devices(args) => {
+            devices::run(args, console);
             Ok(())
         }
         Command::Record(args) => record::run(args, console),
         Command::Check(args) => check::run(args, console),
+        Command::Recover(args) => recover::run(args, console),
     }
 }
 

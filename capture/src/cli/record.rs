@@ -6,12 +6,15 @@ use clap::Args;
 use risorius_console::{Console, Failure, settings};
 use serde::Deserialize;
 
-use crate::record::{RecordOptions, RecordSummary, record};
+use crate::record::{RecordOptions, RecordSummary, record, rehearse};
 
 /// Options of `capture record`.
 #[derive(Args, Debug)]
 #[command(
-    after_help = "Examples:\n  capture record --input face.mp4 --out takes/face --subject Ada\n  capture record --input frames/ --fps 120 --out takes/face\n\n\
+    after_help = "Examples:\n  capture record --device /dev/video0 --size 1280x720 --fps 120 --script au --out takes/face\n  \
+    capture record --input face.mp4 --out takes/face --subject Ada\n  capture record --input frames/ --fps 120 --out takes/face\n\n\
+    A recording ends with --duration, with the script, or with Ctrl-C; it can be played however it ends, and\n\
+    `capture recover` makes a take of what was killed.\n\
     A frame counts as dropped where the time since the one before exceeds 1.5 times what is usual around it.\n\
     Defaults for --link, --subject, --consent and --fps can stand in the table [capture] of risorius.toml."
 )]
@@ -19,45 +22,44 @@ pub(super) struct RecordArgs {
     /// A video file, or a folder of PNG or JPEG images in the order of their names.
     #[arg(long, value_name = "VIDEO|IMAGE_DIR", required_unless_present = "device", conflicts_with = "device")]
     input: Option<PathBuf>,
-    /// The take's folder; it appears whole or not at all.
+    /// The take's folder; of a file it appears whole or not at all, of a camera it grows and is playable at any time.
     #[arg(long, value_name = "TAKE")]
-    out: PathBuf,
+    pub(super) out: PathBuf,
     /// Refer to the input by its absolute path instead of copying it.
     #[arg(long)]
     link: bool,
     /// Replace the take at --out, with its tracks and poses.
     #[arg(long)]
-    force: bool,
+    pub(super) force: bool,
     /// Who is seen.
     #[arg(long, value_name = "TEXT")]
-    subject: Option<String>,
+    pub(super) subject: Option<String>,
     /// Under which consent it was recorded.
     #[arg(long, value_name = "TEXT")]
-    consent: Option<String>,
-    /// Frames per second of an image folder [default: 30].
+    pub(super) consent: Option<String>,
+    /// Frames per second: of a camera [default: its highest], or of an image folder [default: 30].
     #[arg(long, value_name = "N", value_parser = parse_fps)]
-    fps: Option<f64>,
-    /// A camera (not built yet: only --input works).
-    #[arg(long, value_name = "ID")]
+    pub(super) fps: Option<f64>,
+    /// Frames per second at which a slow-motion clip was filmed, if its metadata do not tell.
+    #[arg(long, value_name = "N", value_parser = parse_fps, conflicts_with = "device")]
+    true_fps: Option<f64>,
+    /// Say what would be recorded, and record nothing.
+    #[arg(long)]
+    pub(super) dry_run: bool,
+    /// A camera of `capture devices`, such as /dev/video0; `synthetic:1280x720@120` is one that is not there.
+    #[arg(long, value_name = "ID", help_heading = "Camera")]
     device: Option<String>,
-    /// Picture size for --device (not built yet).
-    #[arg(long, value_name = "WxH", requires = "device")]
-    size: Option<String>,
-    /// Length for --device, such as 120s (not built yet).
-    #[arg(long, value_name = "TIME", requires = "device")]
-    duration: Option<String>,
-    /// Prompts for --device (not built yet).
-    #[arg(long, value_name = "NAME", requires = "device")]
-    script: Option<String>,
+    #[command(flatten)]
+    pub(super) live: super::live::LiveArgs,
 }
 
 /// `[capture]` of `risorius.toml`.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-struct Settings {
+pub(super) struct Settings {
     link: bool,
-    subject: Option<String>,
-    consent: Option<String>,
+    pub(super) subject: Option<String>,
+    pub(super) consent: Option<String>,
     fps: Option<f64>,
 }
 
@@ -69,11 +71,12 @@ fn parse_fps(text: &str) -> Result<f64, String> {
 }
 
 pub(super) fn run(args: &RecordArgs, console: &Console) -> Result<(), Failure> {
-    let Some(input) = args.input.clone() else {
-        return Err(Failure::input("not built yet: recording from a camera; only `--input` is available")
-            .with_hint("record with the camera's own program, then `capture record --input VIDEO --out TAKE`"));
-    };
     let settings: Settings = settings("capture")?;
+    let input = match (&args.input, &args.device) {
+        (Some(input), _) => input.clone(),
+        (None, Some(device)) => return super::live::run(device, args, settings, console),
+        (None, None) => return Err(Failure::usage("give `--input` or `--device`")),
+    };
     // A rate in the settings is for image folders, and no reason for a warning about a video.
     let settings_fps = settings.fps.filter(|_| input.is_dir());
     let options = RecordOptions {
@@ -84,7 +87,22 @@ pub(super) fn run(args: &RecordArgs, console: &Console) -> Result<(), Failure> {
         subject: args.subject.clone().or(settings.subject).unwrap_or_default(),
         consent: args.consent.clone().or(settings.consent).unwrap_or_default(),
         image_fps: args.fps.or(settings_fps),
+        true_fps: args.true_fps,
     };
+    if args.dry_run {
+        let planned = rehearse(&options)?;
+        let count = planned.frame_count_estimate.map_or_else(|| "?".to_owned(), |n| n.to_string());
+        let text = format!(
+            "would make {} of {}: {count} frames, {}×{}, {:.2} frames/s",
+            options.out.display(),
+            options.input.display(),
+            planned.width,
+            planned.height,
+            planned.fps
+        );
+        console.finish(&planned, &text);
+        return Ok(());
+    }
     let summary = record(&options, console)?;
     console.finish(&summary, &text(&summary));
     Ok(())
@@ -103,6 +121,10 @@ fn text(summary: &RecordSummary) -> String {
     )];
     if m.rotation_degrees != 0 {
         lines.push(format!("turned upright by {}°", m.rotation_degrees));
+    }
+    if let Some(factor) = summary.slow_motion {
+        lines
+            .push(format!("slow motion: filmed {factor:.2} times as fast as it plays; the times are those of filming"));
     }
     lines.push(format!("dropped {}, repeated {}", m.dropped_frames, m.repeated_frames));
     lines.push(format!("next: capture check {}", summary.take.display()));

@@ -10,18 +10,24 @@
 //! * **Truncation**: a file cut in the middle gives its frames up to the damage, and [`Reader::truncation`] says how many
 //!   are missing.
 
+pub mod avc;
+mod camera;
 mod error;
+pub mod fragmented;
 mod images;
 mod mp4;
 mod orientation;
 mod reader;
 mod timeline;
+pub mod utvideo;
 mod video;
 mod writer;
 
+pub use camera::Camera;
 pub use error::VideoError;
 pub use reader::{Frame, Reader, Truncation, VideoInfo, read_frames};
 pub use timeline::Timeline;
+pub use utvideo::{RawLayout, UtEncoder, UtLayout};
 pub use writer::Writer;
 
 /// The frame rate of an image folder when nothing else is known.

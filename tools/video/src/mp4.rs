@@ -17,8 +17,8 @@ const MAX_SAMPLES: usize = 1 << 24;
 /// What the container says.
 #[derive(Debug)]
 pub(crate) enum Container {
-    /// An MP4 or MOV file with a video track.
-    Indexed(Timeline, Orientation),
+    /// An MP4 or MOV file with a video track; the rate at which it was filmed, where a slow-motion clip tells.
+    Indexed(Timeline, Orientation, Option<f64>),
     /// An MP4 or MOV file without a usable index.
     NoIndex,
     /// Something else.
@@ -53,7 +53,25 @@ pub(crate) fn read(file: &mut File) -> io::Result<Container> {
     if !is_mp4 {
         return Ok(Container::Other);
     }
-    Ok(moov.and_then(|moov| index(&moov, &fragments)).map_or(Container::NoIndex, |(t, o)| Container::Indexed(t, o)))
+    Ok(moov
+        .and_then(|moov| index(&moov, &fragments))
+        .map_or(Container::NoIndex, |(t, o, c)| Container::Indexed(t, o, c)))
+}
+
+/// The end of the last `mdat` (or of the index before the first) that is whole, and the file's length.
+pub(crate) fn whole_fragments(file: &mut File) -> io::Result<(u64, u64)> {
+    let length = file.metadata()?.len();
+    let (mut position, mut whole) = (0, 0);
+    while let Some(header) = read_header(file, position, length)? {
+        if header.end > length {
+            break;
+        }
+        position = header.end;
+        if matches!(&header.name, b"moov" | b"mdat") {
+            whole = position;
+        }
+    }
+    Ok((whole, length))
 }
 
 struct Header {
@@ -118,7 +136,7 @@ fn full(body: &[u8]) -> Option<(u8, &[u8])> {
     Some((*body.first()?, body.get(4..)?))
 }
 
-fn index(moov: &[u8], fragments: &[Vec<u8>]) -> Option<(Timeline, Orientation)> {
+fn index(moov: &[u8], fragments: &[Vec<u8>]) -> Option<(Timeline, Orientation, Option<f64>)> {
     let track = boxes(moov).filter(|(n, _)| n == b"trak").map(|(_, b)| b).find(|t| is_video(t))?;
     let (version, mvhd) = full(find(moov, &[b"mvhd"])?)?;
     let movie_scale = be32(mvhd, if version == 1 { 16 } else { 8 })?;
@@ -135,7 +153,31 @@ fn index(moov: &[u8], fragments: &[Vec<u8>]) -> Option<(Timeline, Orientation)> 
         append_fragment(&mut samples, fragment, track_id, defaults);
     }
     let edits = find(track, &[b"edts", b"elst"]).and_then(edits).unwrap_or_default();
-    Some((Timeline::new(&samples, &edits, time_scale, movie_scale), orientation(version, tkhd)))
+    let timeline = Timeline::new(&samples, &edits, time_scale, movie_scale);
+    Some((timeline, orientation(version, tkhd), capture_fps(moov)))
+}
+
+/// The key under which Android writes how fast a clip was filmed, however slowly it plays.
+const CAPTURE_FPS: &[u8] = b"com.android.capture.fps";
+
+/// The rate of filming in the movie's metadata: `keys` names the items of `ilst`, counted from 1.
+fn capture_fps(moov: &[u8]) -> Option<f64> {
+    let meta = find(moov, &[b"meta"])?;
+    // QuickTime's box has no version and flags, that of ISO files has.
+    let inner = if find(meta, &[b"keys"]).is_some() { meta } else { meta.get(4..)? };
+    let keys = find(inner, &[b"keys"])?;
+    let at = boxes(keys.get(8..)?).position(|(_, name)| name == CAPTURE_FPS)?;
+    let number = u32::try_from(at + 1).ok()?.to_be_bytes();
+    let item = find(inner, &[b"ilst", &number])?;
+    // The value follows its type and locale: 23 is a 32-bit float, 21 to 22 and 65 to 67 are integers.
+    let data = find(item, &[b"data"])?;
+    let fps = match (be32(data, 0)?, data.get(8..)?) {
+        (23, bytes) => f64::from(f32::from_be_bytes(bytes.try_into().ok()?)),
+        (24, bytes) => f64::from_be_bytes(bytes.try_into().ok()?),
+        (21 | 22 | 67 | 77, bytes) => f64::from(be32(bytes, 0)?),
+        _ => return None,
+    };
+    (1.0..=10_000.0).contains(&fps).then_some(fps)
 }
 
 /// The display matrix of a track header: after times, duration, layer, group and volume; 16.16 fixed point.
@@ -287,19 +329,26 @@ mod tests {
         tkhd.extend([0, one, 0, one.wrapping_neg(), 0, 0, 0, 0, 1 << 30]);
         let edts = boxed(*b"edts", &[], &[boxed(*b"elst", &[0, 1, 100, 20, one], &[])]);
         let trak = boxed(*b"trak", &[], &[boxed(*b"tkhd", &tkhd, &[]), edts, mdia]);
-        let moov = boxed(*b"moov", &[], &[boxed(*b"mvhd", &[0, 0, 0, 600, 50], &[]), trak]);
+        let named = |name: &[u8]| [&(name.len() as u32 + 8).to_be_bytes()[..], b"mdta", name].concat();
+        let keys = boxed(*b"keys", &[0, 2], &[named(b"com.android.version"), named(CAPTURE_FPS)]);
+        let data = boxed(*b"data", &[23, 0, 240f32.to_bits()], &[]);
+        let ilst = boxed(*b"ilst", &[], &[boxed([0, 0, 0, 2], &[], &[data])]);
+        let meta = boxed(*b"meta", &[0], &[keys, ilst]);
+        let moov = boxed(*b"moov", &[], &[boxed(*b"mvhd", &[0, 0, 0, 600, 50], &[]), trak, meta]);
         [boxed(*b"ftyp", &[text(b"isom"), 0], &[]), moov].concat()
     }
 
     #[test]
     fn an_index_is_read_by_its_letter() {
-        let Container::Indexed(timeline, orientation) = read_bytes(&mut tempfile::tempfile().unwrap(), &small_file())
+        let Container::Indexed(timeline, orientation, capture_fps) =
+            read_bytes(&mut tempfile::tempfile().unwrap(), &small_file())
         else {
             panic!("not read");
         };
         // Decoded at 0, 10, … and shown at 10, 30, 40, 30, 40; shown from 20 on.
         assert_eq!(timeline.nanos(), [0, 0, 10_000_000, 10_000_000]);
         assert_eq!(orientation, Orientation { mirrored: false, clockwise_degrees: 90 });
+        assert_eq!(capture_fps, Some(240.0));
     }
 
     #[test]

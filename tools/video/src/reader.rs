@@ -20,6 +20,8 @@ pub struct VideoInfo {
     pub rotation_degrees: u32,
     /// Frames per second: what the container states if the times agree, else their mean; 30 for image folders.
     pub fps: f64,
+    /// Frames per second at which a slow-motion clip was filmed, where its metadata tell (Android's do).
+    pub capture_fps: Option<f64>,
     /// Number of frames: exact for MP4, MOV and image folders, an estimate otherwise.
     pub frame_count_estimate: Option<u64>,
 }
@@ -73,7 +75,7 @@ impl Reader {
             let (width, height) = images.size();
             let frame_count_estimate = Some(images.len() as u64);
             let fps = image_fps.filter(|f| f.is_finite() && *f > 0.0).unwrap_or(DEFAULT_IMAGE_FPS);
-            let info = VideoInfo { width, height, rotation_degrees: 0, fps, frame_count_estimate };
+            let info = VideoInfo { width, height, rotation_degrees: 0, fps, capture_fps: None, frame_count_estimate };
             return Ok(Self { source: Source::Images(images), info, next: 0 });
         }
         if !kind.is_file() {
@@ -86,6 +88,7 @@ impl Reader {
             height,
             rotation_degrees: video.rotation_degrees(),
             fps: video.fps(),
+            capture_fps: video.capture_fps(),
             frame_count_estimate: video.frame_count_estimate(),
         };
         Ok(Self { source: Source::Video(Box::new(video)), info, next: 0 })

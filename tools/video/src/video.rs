@@ -27,6 +27,7 @@ pub(crate) struct VideoFile {
     size: (u32, u32),
     orientation: Orientation,
     fps: f64,
+    capture_fps: Option<f64>,
     /// Length that OpenCV derives from the container, for files without a timeline.
     stated_secs: Option<f64>,
     bgr: Mat,
@@ -49,11 +50,12 @@ impl VideoFile {
         if length == 0 {
             return Err(VideoError::Empty { path: path.to_owned() });
         }
-        let (timeline, orientation) = match mp4::read(&mut file).map_err(|e| FormatError::io(path, "read", &e))? {
-            Container::Indexed(timeline, orientation) => (Some(timeline), Some(orientation)),
-            Container::NoIndex => return Err(VideoError::NoIndex { path: path.to_owned() }),
-            Container::Other => (None, None),
-        };
+        let (timeline, orientation, capture_fps) =
+            match mp4::read(&mut file).map_err(|e| FormatError::io(path, "read", &e))? {
+                Container::Indexed(timeline, orientation, fps) => (Some(timeline), Some(orientation), fps),
+                Container::NoIndex => return Err(VideoError::NoIndex { path: path.to_owned() }),
+                Container::Other => (None, None, None),
+            };
         silence();
         // An absolute path: FFmpeg would take `a:b.mp4` for a protocol.
         let absolute = std::path::absolute(path).map_err(|e| FormatError::io(path, "open", &e))?;
@@ -68,6 +70,7 @@ impl VideoFile {
             size: (0, 0),
             orientation: Orientation::default(),
             fps: UNKNOWN_FPS,
+            capture_fps,
             stated_secs: None,
             bgr: Mat::default(),
             spare: Mat::default(),
@@ -118,6 +121,10 @@ impl VideoFile {
 
     pub(crate) fn fps(&self) -> f64 {
         self.fps
+    }
+
+    pub(crate) fn capture_fps(&self) -> Option<f64> {
+        self.capture_fps
     }
 
     pub(crate) fn frame_count_estimate(&self) -> Option<u64> {

@@ -112,7 +112,7 @@ impl Writer {
         let wrap = |e: std::io::Error| FormatError::io(&self.path, "write", &e);
         let mut file = File::open(&self.staging).map_err(wrap)?;
         let written = match mp4::read(&mut file).map_err(wrap)? {
-            Container::Indexed(timeline, _) => timeline.nanos().len(),
+            Container::Indexed(timeline, ..) => timeline.nanos().len(),
             Container::NoIndex | Container::Other => 0,
         };
         if written != self.count as usize {
