@@ -30,6 +30,9 @@ pub struct PoseReport {
     pub frames_tried: u32,
     /// Frames it placed by itself.
     pub frames_registered: u32,
+    /// Frames placed by the pictures of the nearest registered ones.
+    #[serde(default)]
+    pub frames_followed: u32,
     /// Frames placed between placed ones by interpolation.
     pub frames_interpolated: u32,
     /// `frames_registered / frames_tried`.

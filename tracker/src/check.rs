@@ -188,6 +188,7 @@ mod tests {
             frames: 40,
             frames_tried: 40,
             frames_registered: 40,
+            frames_followed: 0,
             frames_interpolated: 0,
             registered_share: 1.0,
             reprojection_error_px: None,

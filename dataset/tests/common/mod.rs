@@ -127,6 +127,7 @@ pub(crate) fn take() -> Take {
             frames: FRAMES,
             frames_tried: FRAMES,
             frames_registered: FRAMES,
+            frames_followed: 0,
             frames_interpolated: 0,
             registered_share: 1.0,
             reprojection_error_px: None,

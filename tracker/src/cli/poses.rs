@@ -119,6 +119,7 @@ pub(super) fn run(args: &PosesArgs, console: &Console) -> Result<(), Failure> {
         source,
         min_confidence: MIN_CONFIDENCE,
         max_gap_secs: MAX_GAP_SECS,
+        follow: !args.no_refine,
         correct_by_landmarks: !args.no_refine,
     };
     let report = poses::find(&args.take, &options, console)?;
@@ -166,12 +167,13 @@ pub(super) fn in_words(r: &PoseReport) -> String {
         PoseMethod::Head => "head pose (still camera)",
     };
     let mut text = format!(
-        "method        {method}\nframes        {} of {} with a pose: {} of {} placed ({:.1} %), {} interpolated",
-        r.frames_registered + r.frames_interpolated,
+        "method        {method}\nframes        {} of {} with a pose: {} of {} placed ({:.1} %), {} by patches of those, {} interpolated",
+        r.frames_registered + r.frames_followed + r.frames_interpolated,
         r.frames,
         r.frames_registered,
         r.frames_tried,
         100.0 * r.registered_share,
+        r.frames_followed,
         r.frames_interpolated
     );
     if let Some(error) = r.reprojection_error_px {

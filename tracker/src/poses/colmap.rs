@@ -10,6 +10,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use glam::DVec2;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ImageEncoder, RgbImage, imageops};
 use risorius_formats::{FormatError, FrameIndex, Reporter, Silent, Take, Track, Warning};
@@ -17,11 +18,14 @@ use risorius_formats::{FormatError, FrameIndex, Reporter, Silent, Take, Track, W
 use super::child::{Runner, number_after};
 use super::flags::{Flags, Version};
 use super::model::{self, Found};
+use super::picture::Picture;
 use super::{keyframes, mask};
 use crate::error::{Result, TrackerError};
 
 /// Below this share of placed key frames the result is refused.
 pub const MIN_REGISTERED_SHARE: f64 = 0.4;
+/// Pictures whose longer side is below this are doubled for the features.
+const SMALL_SIDE: u32 = 720;
 /// Pairs per call of the matcher.
 const PAIRS_PER_CALL: usize = 150;
 /// COLMAP's own least number of images of a model.
@@ -58,8 +62,8 @@ impl Default for ColmapOptions {
             // A second focal length and tangential terms trade off against the pose: with OPENCV, a capture with
             // known square pixels came out with fy 0.4 % off and every pose turned by the same 0.12°.
             camera_model: "SIMPLE_RADIAL".into(),
-            max_features: 2000,
-            max_side: 1600,
+            max_features: 1500,
+            max_side: 1280,
             mask_face: false,
             time_limit: None,
             keep_work: false,
@@ -75,6 +79,10 @@ pub struct Run {
     pub found: Found,
     /// The key frames.
     pub keyframes: Vec<u32>,
+    /// Their pictures.
+    pub(crate) pictures: BTreeMap<u32, Picture>,
+    /// Outline of the masked face in them, pixels; empty without masks.
+    pub(crate) face: BTreeMap<u32, Vec<DVec2>>,
     /// What to know.
     pub notes: Vec<String>,
 }
@@ -98,7 +106,7 @@ pub fn run(
         keyframes::choose(&take.frames, options.keyframes.unwrap_or_else(|| keyframes::default_count(&take.frames)));
     let pictures = work.join("images");
     let database = work.join("database.db");
-    extract(take, track, &keys, options, work, reporter)?;
+    let Extracted { pictures: grey, face } = extract(take, track, &keys, options, work, reporter)?;
     reporter.stage("features", Some(keys.len() as u64));
     let mut args = words(&[
         ("--database_path", database.as_os_str()),
@@ -106,6 +114,9 @@ pub fn run(
         ("--ImageReader.single_camera", "1".as_ref()),
         ("--ImageReader.camera_model", options.camera_model.as_ref()),
         ("--SiftExtraction.max_num_features", options.max_features.to_string().as_ref()),
+        ("--SiftExtraction.first_octave", first_octave(take, options).as_ref()),
+        // A second orientation of the same place doubles the comparisons and adds no point.
+        ("--SiftExtraction.max_num_orientations", "1".as_ref()),
         (flags.extraction_gpu, "0".as_ref()),
     ]);
     if options.mask_face {
@@ -132,7 +143,15 @@ pub fn run(
         reporter.warn(Warning::new("few-registered", message.clone()));
         notes.push(message);
     }
-    Ok(Run { found, keyframes: keys, notes })
+    Ok(Run { found, keyframes: keys, pictures: grey, face, notes })
+}
+
+/// COLMAP doubles its pictures before it looks for features: four times the work, for features of a pixel or two.
+///
+/// Small pictures have few others. The places need not be exact, since they are found again by their patches.
+fn first_octave(take: &Take, options: &ColmapOptions) -> &'static str {
+    let side = take.manifest.width.max(take.manifest.height).min(options.max_side);
+    if side < SMALL_SIDE { "-1" } else { "0" }
 }
 
 fn find_version(runner: &Runner<'_>) -> Result<Option<Version>> {
@@ -170,7 +189,8 @@ fn extract(
     options: &ColmapOptions,
     work: &Path,
     reporter: &dyn Reporter,
-) -> Result<()> {
+) -> Result<Extracted> {
+    let mut extracted = Extracted::default();
     let (pictures, masks) = (work.join("images"), work.join("masks"));
     create_dir(&pictures)?;
     if options.mask_face {
@@ -178,23 +198,35 @@ fn extract(
     }
     let by_frame: BTreeMap<u32, _> = track.rows.iter().filter(|r| r.success).map(|r| (r.frame.0, r)).collect();
     reporter.stage("key frames", Some(keys.len() as u64));
-    risorius_video::read_frames(take.media_path(), keys, |frame, picture| {
+    risorius_video::read_frames(take.media_path(), keys, |frame, picture| -> Result<()> {
         if reporter.cancelled() {
             return Err(TrackerError::Cancelled { doing: "extracting key frames".into() });
         }
         let name = FrameIndex(frame).image_name();
+        extracted.pictures.insert(frame, Picture::new(&picture));
         let picture = reduced(picture, options.max_side);
         write_png(&pictures.join(&name), &picture)?;
         if options.mask_face {
             let scale = f64::from(picture.width()) / f64::from(take.manifest.width);
             let landmarks = by_frame.get(&frame).and_then(|r| r.landmarks.as_deref());
+            if let Some(landmarks) = landmarks {
+                extracted.face.insert(frame, mask::face_outline(landmarks, 1.0));
+            }
             let mask = mask::outside_face(picture.width(), picture.height(), scale, landmarks);
             let path = masks.join(format!("{name}.png"));
             mask.save(&path).map_err(|e| FormatError::syntax(format!("cannot write: {e}")).in_file(&path))?;
         }
         reporter.advance(1);
         Ok(())
-    })
+    })?;
+    Ok(extracted)
+}
+
+/// Key frames in memory.
+#[derive(Default)]
+struct Extracted {
+    pictures: BTreeMap<u32, Picture>,
+    face: BTreeMap<u32, Vec<DVec2>>,
 }
 
 fn reduced(picture: RgbImage, max_side: u32) -> RgbImage {

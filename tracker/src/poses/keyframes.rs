@@ -3,11 +3,11 @@
 use risorius_formats::FrameRecord;
 
 /// Key frames stand no farther apart than this on average, seconds, so that what lies between can be interpolated.
-const SPACING_SECS: f64 = 0.33;
+const SPACING_SECS: f64 = 0.5;
 /// Key frames of a short take.
-const FEWEST: usize = 80;
+const FEWEST: usize = 40;
 /// Key frames of a long take.
-const MOST: usize = 400;
+const MOST: usize = 80;
 
 /// How many key frames a take of this length gets by default.
 pub fn default_count(frames: &[FrameRecord]) -> usize {
@@ -66,18 +66,20 @@ pub fn choose(frames: &[FrameRecord], count: usize) -> Vec<u32> {
 pub fn pairs(count: usize) -> Vec<(usize, usize)> {
     let wanted = |i: usize, j: usize| {
         let gap = j - i;
-        count <= 40
+        count <= ALL
             || gap <= OVERLAP
-            || (gap >= 16 && gap.is_power_of_two())
+            || (gap >= 8 && gap.is_power_of_two())
             || (i.is_multiple_of(LOOPS) && j.is_multiple_of(LOOPS))
     };
     (0..count).flat_map(|i| (i + 1..count).filter(move |&j| wanted(i, j)).map(move |j| (i, j))).collect()
 }
 
 /// Neighbours that each key frame is compared with.
-const OVERLAP: usize = 6;
+const OVERLAP: usize = 4;
 /// Every so many key frames one is compared with all others of its kind.
-const LOOPS: usize = 5;
+const LOOPS: usize = 4;
+/// Up to this many key frames are compared all with all.
+const ALL: usize = 16;
 
 #[cfg(test)]
 mod tests {

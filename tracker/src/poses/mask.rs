@@ -12,15 +12,20 @@ const GROWTH: f64 = 1.15;
 pub(crate) fn outside_face(width: u32, height: u32, scale: f64, landmarks: Option<&Landmarks68>) -> GrayImage {
     let mut mask = GrayImage::from_pixel(width, height, Luma([255]));
     let Some(landmarks) = landmarks else { return mask };
-    let points: Vec<DVec2> = landmarks.points_px.iter().map(|p| DVec2::new(p[0].into(), p[1].into()) * scale).collect();
-    let middle = points.iter().sum::<DVec2>() / points.len() as f64;
-    let hull: Vec<DVec2> = convex_hull(&points).into_iter().map(|p| middle + (p - middle) * GROWTH).collect();
+    let hull = face_outline(landmarks, scale);
     for (x, y, pixel) in mask.enumerate_pixels_mut() {
         if hull_contains(&hull, DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)) {
             *pixel = Luma([0]);
         }
     }
     mask
+}
+
+/// The grown hull of the landmarks; `scale` is its pixels per landmark pixel.
+pub(crate) fn face_outline(landmarks: &Landmarks68, scale: f64) -> Vec<DVec2> {
+    let points: Vec<DVec2> = landmarks.points_px.iter().map(|p| DVec2::new(p[0].into(), p[1].into()) * scale).collect();
+    let middle = points.iter().sum::<DVec2>() / points.len() as f64;
+    convex_hull(&points).into_iter().map(|p| middle + (p - middle) * GROWTH).collect()
 }
 
 #[cfg(test)]

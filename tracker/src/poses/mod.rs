@@ -3,36 +3,46 @@
 //! Whatever the way, the result is the same: `poses/sparse/` (a COLMAP text model at full size, images `%06d.png`) and
 //! `poses/report.json` with the head's place, near and far. Frames between placed ones are interpolated.
 
+mod adjust;
 mod between;
 mod child;
 pub mod colmap;
 pub mod depths;
 pub mod flags;
 pub mod focal;
+mod follow;
 pub mod head;
 pub mod interpolate;
 pub mod keyframes;
 pub mod mask;
 pub mod model;
+mod patch;
+mod picture;
 mod refine;
+mod sharpen;
 pub mod smooth;
 pub mod triangulate;
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use risorius_formats::atomic::AtomicDir;
 use risorius_formats::openface::{self, ReadOptions};
+use risorius_formats::polygon::hull_contains;
 use risorius_formats::pose_report::{PoseMethod, PoseReport};
 use risorius_formats::{FormatError, Reporter, Silent, Take, Track, TrackRow, Warning, colmap as colmap_format};
 
 use self::between::Between;
 use self::colmap::ColmapOptions;
 use self::depths::Head;
+use self::follow::Follow;
 use self::head::HeadOptions;
 use self::model::{PlacedFrame, TakeModel};
+use self::picture::Picture;
+use self::triangulate::median;
 use crate::error::{Result, TrackerError};
 
 /// With the head route sampling starts this much before the body around the head and ends as much behind it.
@@ -63,6 +73,8 @@ pub struct PosesOptions {
     pub min_confidence: f32,
     /// Longest gap between placed frames that is interpolated, seconds.
     pub max_gap_secs: f64,
+    /// Whether key frames are made exact by their patches and the frames between them placed by those.
+    pub follow: bool,
     /// Whether the landmarks correct the interpolated poses (not with the head route, where they made the poses).
     pub correct_by_landmarks: bool,
 }
@@ -115,6 +127,7 @@ struct Placed {
     model: TakeModel,
     frames_tried: usize,
     frames_registered: usize,
+    frames_followed: usize,
     head: Option<(Head, Vec<DVec3>)>,
     interpolated_runs: Vec<[u32; 2]>,
     notes: Vec<String>,
@@ -139,6 +152,7 @@ fn place(take: &Take, track: &Track, options: &PosesOptions, folder: &Path, repo
                 method: PoseMethod::ColmapModel,
                 frames_tried: registered + found.foreign_images,
                 frames_registered: registered,
+                frames_followed: 0,
                 model: found.model,
                 head: None,
                 interpolated_runs: Vec::new(),
@@ -154,15 +168,20 @@ fn place(take: &Take, track: &Track, options: &PosesOptions, folder: &Path, repo
             if !colmap_options.keep_work {
                 fs::remove_dir_all(&work).map_err(|e| FormatError::io(&work, "remove", &e))?;
             }
-            Ok(Placed {
+            let mut placed = Placed {
                 method: PoseMethod::Colmap,
                 frames_tried: run.keyframes.len(),
                 frames_registered: run.found.model.frames.len(),
+                frames_followed: 0,
                 model: run.found.model,
                 head: None,
                 interpolated_runs: Vec::new(),
                 notes: run.notes,
-            })
+            };
+            if options.follow {
+                follow_frames(&mut placed, take, &run.pictures, &run.face, reporter)?;
+            }
+            Ok(placed)
         }
         Source::Head(head_options) => {
             let route = head::find(take, track, head_options, reporter)?;
@@ -171,6 +190,7 @@ fn place(take: &Take, track: &Track, options: &PosesOptions, folder: &Path, repo
                 method: PoseMethod::Head,
                 frames_tried: take.frames.len(),
                 frames_registered: registered,
+                frames_followed: 0,
                 model: route.model,
                 head: Some((route.head, route.hull)),
                 interpolated_runs: Vec::new(),
@@ -178,6 +198,46 @@ fn place(take: &Take, track: &Track, options: &PosesOptions, folder: &Path, repo
             })
         }
     }
+}
+
+/// Makes the key frames exact and places the frames between them by patches.
+fn follow_frames(
+    placed: &mut Placed,
+    take: &Take,
+    pictures: &BTreeMap<u32, Picture>,
+    face: &BTreeMap<u32, Vec<DVec2>>,
+    reporter: &dyn Reporter,
+) -> Result<()> {
+    reporter.stage("refine the key frames", None);
+    if let Some(done) = sharpen::sharpen(&mut placed.model, pictures) {
+        placed.notes.push(format!(
+            "key frames refined on {} points in {} views: median error {:.2} px",
+            done.points, done.views, done.median_error_px
+        ));
+        placed.notes.extend(done.notes);
+    } else {
+        placed.notes.push("key frames as COLMAP left them: too few points whose patches are found again".to_owned());
+    }
+    let avoid = |frame: u32, pixel: DVec2| face.get(&frame).is_some_and(|hull| hull_contains(hull, pixel));
+    let Some(follow) = Follow::new(&placed.model, pictures, &take.frames, avoid) else {
+        placed.notes.push("too few patches to place the frames between key frames; they are interpolated".to_owned());
+        return Ok(());
+    };
+    let followed = follow.run(&placed.model.poses(), &take.media_path(), reporter)?;
+    let mut errors: Vec<f64> = followed.errors_px.values().copied().collect();
+    placed.notes.push(format!(
+        "{} frames placed by patches of the nearest key frames: median error {:.2} px; {} not found, {} stood out",
+        followed.poses.len(),
+        median(&mut errors).unwrap_or(0.0),
+        followed.lost.len(),
+        followed.dropped.len()
+    ));
+    placed.frames_followed = followed.poses.len();
+    for (frame, camera_from_world) in followed.poses {
+        let lens = placed.model.frames.range(..frame).next_back().map_or(1, |(_, f)| f.lens);
+        placed.model.frames.insert(frame, PlacedFrame { lens, camera_from_world, points: Vec::new() });
+    }
+    Ok(())
 }
 
 /// What COLMAP said is worth keeping when it failed; older poses stay.
@@ -246,6 +306,7 @@ fn report(placed: &Placed, head: Head, hull: Option<Vec<DVec3>>, take: &Take, st
         frames: take.frames.len() as u32,
         frames_tried: placed.frames_tried as u32,
         frames_registered: placed.frames_registered as u32,
+        frames_followed: placed.frames_followed as u32,
         frames_interpolated: interpolated,
         registered_share: placed.frames_registered as f64 / placed.frames_tried.max(1) as f64,
         reprojection_error_px: placed.model.reprojection_error_px(),
