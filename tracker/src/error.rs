@@ -138,6 +138,12 @@ pub enum TrackerError {
         /// The whole output.
         log: PathBuf,
     },
+    /// A take of a few frames.
+    #[error("the take has only {frames} frames, too few to find cameras from")]
+    FewFrames {
+        /// Its frames.
+        frames: usize,
+    },
     /// COLMAP placed too few frames.
     #[error("COLMAP placed only {registered} of {tried} key frames")]
     FewRegistered {
@@ -230,7 +236,7 @@ impl Hint for TrackerError {
             }
             Self::ColmapFailed { log, .. } => format!("the whole output is in {}", log.display()).into(),
             Self::ColmapTimeout { log, .. } => format!(
-                "allow more with `--time-limit SECS` or ask for fewer `--keyframes`; the output is in {}",
+                "the same command goes on where it stopped; allow more with `--time-limit SECS` or ask for fewer `--keyframes`; the output is in {}",
                 log.display()
             )
             .into(),
@@ -239,6 +245,7 @@ impl Hint for TrackerError {
                 log.display()
             )
             .into(),
+            Self::FewFrames { .. } => "record some seconds while the camera moves around the head".into(),
             Self::FewRegistered { .. } => {
                 "try more `--keyframes`, a sharper or better lit take, or `--method head` for a still camera; `--accept-poor` takes what there is"
                     .into()

@@ -10,7 +10,7 @@ use risorius_formats::pose_report::{PoseMethod, PoseReport};
 use serde::Deserialize;
 
 use crate::import::MIN_CONFIDENCE;
-use crate::poses::colmap::ColmapOptions;
+use crate::poses::colmap::{ColmapOptions, MaskFace};
 use crate::poses::head::{HeadOptions, SMOOTH_SECS};
 use crate::poses::interpolate::MAX_GAP_SECS;
 use crate::poses::{self, PosesOptions, Source};
@@ -49,13 +49,13 @@ pub(super) struct PosesArgs {
     /// Features per key frame [default: 2000]
     #[arg(long, value_name = "N")]
     max_features: Option<u32>,
-    /// Leave the face out of COLMAP's features [default: off]
+    /// Leave the moving face out of COLMAP's features [default: auto, if there is enough texture beside it]
     #[arg(long, value_name = "WHETHER")]
-    mask_face: Option<Switch>,
+    mask_face: Option<MaskArg>,
     /// Stop COLMAP after this many seconds
     #[arg(long, value_name = "SECS")]
     time_limit: Option<u64>,
-    /// Keep COLMAP's pictures and database in TAKE/poses/.work
+    /// Keep COLMAP's pictures and database in TAKE/.poses-work
     #[arg(long)]
     keep_work: bool,
     /// Take the result even if COLMAP placed few key frames
@@ -82,7 +82,8 @@ enum MethodArg {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-enum Switch {
+enum MaskArg {
+    Auto,
     On,
     Off,
 }
@@ -96,7 +97,7 @@ struct Settings {
     colmap: Option<PathBuf>,
     camera_model: Option<String>,
     max_features: Option<u32>,
-    mask_face: Option<Switch>,
+    mask_face: Option<MaskArg>,
     time_limit: Option<u64>,
     focal: Option<f64>,
     smooth: Option<f64>,
@@ -140,7 +141,11 @@ fn colmap_options(args: &PosesArgs, settings: Settings) -> Result<ColmapOptions,
         camera_model: args.camera_model.clone().or(settings.camera_model).unwrap_or(defaults.camera_model),
         max_features: args.max_features.or(settings.max_features).unwrap_or(defaults.max_features),
         max_side: defaults.max_side,
-        mask_face: args.mask_face.or(settings.mask_face).map_or(defaults.mask_face, |s| s == Switch::On),
+        mask_face: args.mask_face.or(settings.mask_face).map_or(defaults.mask_face, |m| match m {
+            MaskArg::Auto => MaskFace::Auto,
+            MaskArg::On => MaskFace::On,
+            MaskArg::Off => MaskFace::Off,
+        }),
         time_limit: args.time_limit.or(settings.time_limit).map(Duration::from_secs),
         keep_work: args.keep_work,
         accept_poor: args.accept_poor,

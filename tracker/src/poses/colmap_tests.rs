@@ -38,7 +38,7 @@ impl Stage {
     }
 
     fn run_program(&self, program: PathBuf, limit: Option<Duration>, reporter: &dyn Reporter) -> (Result<Run>, String) {
-        let options = ColmapOptions { program, time_limit: limit, mask_face: true, ..ColmapOptions::default() };
+        let options = ColmapOptions { program, time_limit: limit, mask_face: MaskFace::On, ..ColmapOptions::default() };
         let work = self.dir.path().join("work");
         let _ = fs::remove_dir_all(&work);
         fs::create_dir(&work).unwrap();

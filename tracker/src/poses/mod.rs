@@ -13,6 +13,7 @@ pub mod focal;
 mod follow;
 pub mod head;
 pub mod interpolate;
+mod join;
 pub mod keyframes;
 pub mod mask;
 pub mod model;
@@ -22,6 +23,7 @@ mod refine;
 mod sharpen;
 pub mod smooth;
 pub mod triangulate;
+pub mod work;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -33,7 +35,7 @@ use risorius_formats::atomic::AtomicDir;
 use risorius_formats::openface::{self, ReadOptions};
 use risorius_formats::polygon::hull_contains;
 use risorius_formats::pose_report::{PoseMethod, PoseReport};
-use risorius_formats::{FormatError, Reporter, Silent, Take, Track, TrackRow, Warning, colmap as colmap_format};
+use risorius_formats::{Reporter, Silent, Take, Track, TrackRow, Warning, colmap as colmap_format};
 
 use self::between::Between;
 use self::colmap::ColmapOptions;
@@ -43,6 +45,7 @@ use self::head::HeadOptions;
 use self::model::{PlacedFrame, TakeModel};
 use self::picture::Picture;
 use self::triangulate::median;
+use self::work::WORK_DIR;
 use crate::error::{Result, TrackerError};
 
 /// With the head route sampling starts this much before the body around the head and ends as much behind it.
@@ -160,13 +163,12 @@ fn place(take: &Take, track: &Track, options: &PosesOptions, folder: &Path, repo
             })
         }
         Source::Colmap(colmap_options) => {
-            let work = folder.join(".work");
-            fs::create_dir(&work).map_err(|e| FormatError::io(&work, "create the folder", &e))?;
+            let work = take.dir.join(WORK_DIR);
             let final_log = take.dir.join("poses").join("colmap.log");
             let run =
                 colmap::run(take, track, colmap_options, &work, &folder.join("colmap.log"), &final_log, reporter)?;
             if !colmap_options.keep_work {
-                fs::remove_dir_all(&work).map_err(|e| FormatError::io(&work, "remove", &e))?;
+                work::remove(&work)?;
             }
             let mut placed = Placed {
                 method: PoseMethod::Colmap,

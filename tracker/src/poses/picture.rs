@@ -108,6 +108,11 @@ impl Picture {
         Self { levels, finest }
     }
 
+    /// Full width and height, pixels (to a multiple of the finest level's pixels).
+    pub(crate) fn size(&self) -> [u32; 2] {
+        [self.levels[0].width, self.levels[0].height].map(|n| (n << self.finest) as u32)
+    }
+
     /// The largest level there is.
     pub(crate) fn finest(&self) -> usize {
         self.finest
