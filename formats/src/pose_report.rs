@@ -61,6 +61,12 @@ pub struct PoseReport {
     /// projection are not rigid with the head and are left out of fitting.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub head_hull_in_world: Option<Vec<DVec3>>,
+    /// A box along the world's axes with the head in it: its corners of smallest and largest coordinates.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub head_box: Option<[DVec3; 2]>,
+    /// What speaks against these cameras; empty when nothing does.
+    #[serde(default)]
+    pub problems: Vec<String>,
     /// Frames whose camera was interpolated, as inclusive runs.
     #[serde(default)]
     pub interpolated_runs: Vec<[u32; 2]>,

@@ -202,6 +202,8 @@ mod tests {
             units_per_metre: None,
             landmarks_in_world: vec![DVec3::ZERO; 68],
             head_hull_in_world: None,
+            head_box: None,
+            problems: vec![],
             interpolated_runs,
             seconds: 0.0,
             notes: vec![],

@@ -141,6 +141,8 @@ pub(crate) fn take() -> Take {
             units_per_metre: None,
             landmarks_in_world: face.to_vec(),
             head_hull_in_world: None,
+            head_box: None,
+            problems: vec![],
             interpolated_runs: vec![],
             seconds: 0.0,
             notes: vec![],

@@ -108,8 +108,8 @@ pub struct Run {
 /// in `log`, which will later be found at `final_log`.
 pub fn run(
     take: &Take,
-    track: &Track,
     options: &ColmapOptions,
+    read: Keys,
     work_dir: &Path,
     log: &Path,
     final_log: &Path,
@@ -121,15 +121,9 @@ pub fn run(
     let version = find_version(&runner)?;
     let flags = Flags::of(version);
     let version = version.map_or("of unknown version".to_owned(), |v| v.to_string());
-    let keys =
-        keyframes::choose(&take.frames, options.keyframes.unwrap_or_else(|| keyframes::default_count(&take.frames)));
-    if keys.len() < FEWEST_KEYS {
-        return Err(TrackerError::FewFrames { frames: keys.len() });
-    }
-    let grey = read_keys(take, &keys, options, reporter)?;
-    let outlines = outlines(track, &keys);
-    let (masked, why) = decide_mask(options.mask_face, &grey.pictures, &outlines);
-    let face = if masked { outlines } else { BTreeMap::new() };
+    let keys: Vec<u32> = read.pictures.keys().copied().collect();
+    let (masked, why) = decide_mask(options.mask_face, &read.pictures, &read.outlines);
+    let face = if masked { read.outlines.clone() } else { BTreeMap::new() };
     let work = Work::open(work_dir.to_owned(), &job(take, &keys, options, &version, &face))?;
     let mut notes = vec![format!("COLMAP {version} on {} key frames", keys.len()), why];
     if work.is_done("features") {
@@ -138,7 +132,7 @@ pub fn run(
         notes.push(message);
     }
     if !work.is_done("pictures") {
-        write_keys(&keys, &grey, &face, masked, take, &work)?;
+        write_keys(&keys, &read, &face, masked, take, &work)?;
         work.done("pictures")?;
     }
     let (pictures, database) = (work.path("images"), work.path("database.db"));
@@ -176,7 +170,7 @@ pub fn run(
         reporter.warn(Warning::new("few-registered", message.clone()));
         notes.push(message);
     }
-    Ok(Run { found, keyframes: keys, pictures: grey.pictures, face, notes })
+    Ok(Run { found, keyframes: keys, pictures: read.pictures, face, notes })
 }
 
 /// What the files in the work folder depend on.
@@ -234,16 +228,26 @@ fn create_dir(dir: &Path) -> Result<()> {
     fs::create_dir_all(dir).map_err(|e| FormatError::io(dir, "create the folder", &e).into())
 }
 
-/// Key frames in memory: grey for patches, in colour for COLMAP.
-struct Keys {
-    pictures: BTreeMap<u32, Picture>,
+/// Key frames in memory.
+pub struct Keys {
+    /// Grey, for patches.
+    pub(crate) pictures: BTreeMap<u32, Picture>,
+    /// In colour and at the size for COLMAP.
     reduced: BTreeMap<u32, RgbImage>,
+    /// Outlines of the faces, pixels, where there are landmarks.
+    pub(crate) outlines: BTreeMap<u32, Vec<DVec2>>,
 }
 
-fn read_keys(take: &Take, keys: &[u32], options: &ColmapOptions, reporter: &dyn Reporter) -> Result<Keys> {
-    let mut read = Keys { pictures: BTreeMap::new(), reduced: BTreeMap::new() };
+/// Chooses and reads the key frames.
+pub fn read_keys(take: &Take, track: &Track, options: &ColmapOptions, reporter: &dyn Reporter) -> Result<Keys> {
+    let keys =
+        keyframes::choose(&take.frames, options.keyframes.unwrap_or_else(|| keyframes::default_count(&take.frames)));
+    if keys.len() < FEWEST_KEYS {
+        return Err(TrackerError::FewFrames { frames: keys.len() });
+    }
+    let mut read = Keys { pictures: BTreeMap::new(), reduced: BTreeMap::new(), outlines: outlines(track, &keys) };
     reporter.stage("key frames", Some(keys.len() as u64));
-    risorius_video::read_frames(take.media_path(), keys, |frame, picture| -> Result<()> {
+    risorius_video::read_frames(take.media_path(), &keys, |frame, picture| -> Result<()> {
         if reporter.cancelled() {
             return Err(TrackerError::Cancelled { doing: "extracting key frames".into() });
         }

@@ -44,7 +44,8 @@ impl Stage {
         fs::create_dir(&work).unwrap();
         let log = self.dir.path().join("colmap.log");
         let _ = fs::remove_file(&log);
-        let result = run(&self.take, &Track::default(), &options, &work, &log, Path::new("final.log"), reporter);
+        let result = read_keys(&self.take, &Track::default(), &options, reporter)
+            .and_then(|keys| run(&self.take, &options, keys, &work, &log, Path::new("final.log"), reporter));
         (result, fs::read_to_string(log).unwrap_or_default())
     }
 }

@@ -44,6 +44,11 @@ const LOOSE: f64 = 0.03;
 const OUTLIER: f64 = 12.0;
 /// … and at least this far, pixels.
 const OUTLIER_PX: f64 = 1.5;
+/// A frame that stands out is dropped if its patches miss by this many times what is usual.
+const MISFIT: f64 = 2.0;
+/// A step of this many times the usual one, and of this many pixels, is a cut.
+const CUT: f64 = 12.0;
+const CUT_PX: f64 = 25.0;
 /// Decoded pictures that wait.
 const WAITING: usize = 4;
 
@@ -80,8 +85,10 @@ pub(crate) struct Followed {
     pub(crate) errors_px: BTreeMap<u32, f64>,
     /// Frames that could not be placed.
     pub(crate) lost: Vec<u32>,
-    /// Frames that were placed, but stood out.
+    /// Frames that were placed, but stood out and fit badly.
     pub(crate) dropped: Vec<u32>,
+    /// Frames that fit well and yet stand far from the frame before: the video was cut there.
+    pub(crate) cuts: Vec<u32>,
 }
 
 /// A pose and how well it fits.
@@ -322,16 +329,37 @@ impl<'a> Follow<'a> {
         let distances: BTreeMap<u32, f64> = result.poses.keys().filter_map(|&f| Some((f, off(f)?))).collect();
         let Some(usual) = median(&mut distances.values().copied().collect::<Vec<_>>()) else { return };
         let limit = (OUTLIER * usual).max(OUTLIER_PX);
+        let usual_error = median(&mut result.errors_px.values().copied().collect::<Vec<_>>()).unwrap_or(0.0);
         for (&frame, &distance) in &distances {
             // The neighbours of a wild frame look wild too: only the worst of three goes.
             let worst =
                 [frame.wrapping_sub(1), frame + 1].iter().all(|f| distances.get(f).is_none_or(|d| *d <= distance));
-            if distance > limit && worst {
+            // On both sides of a cut the pictures fit their poses.
+            let fits = result.errors_px.get(&frame).is_some_and(|e| *e <= MISFIT * usual_error);
+            if distance > limit && worst && !fits {
                 result.poses.remove(&frame);
                 result.errors_px.remove(&frame);
                 result.dropped.push(frame);
             }
         }
+        result.cuts = self.cuts(&all, usual);
+    }
+
+    /// Frames that the camera cannot have reached from the frame before.
+    fn cuts(&self, all: &BTreeMap<u32, Isometry>, usual: f64) -> Vec<u32> {
+        let focal = 0.5 * (self.lens.fx + self.lens.fy);
+        let steps: Vec<(u32, f64)> = all
+            .iter()
+            .zip(all.iter().skip(1))
+            .filter(|((a, _), (b, _))| **b == **a + 1)
+            .map(|((_, a), (b, pose))| {
+                let twist = se3::log(&pose.compose(&a.inverse()));
+                (*b, focal * (twist.rotation.length() + twist.translation.length() / self.depth))
+            })
+            .collect();
+        let Some(step) = median(&mut steps.iter().map(|s| s.1).collect::<Vec<_>>()) else { return Vec::new() };
+        let limit = (CUT * step).max(OUTLIER * usual).max(CUT_PX);
+        steps.into_iter().filter(|s| s.1 > limit).map(|s| s.0).collect()
     }
 }
 

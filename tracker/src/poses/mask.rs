@@ -13,9 +13,9 @@ use super::picture::Picture;
 use super::triangulate::median;
 
 /// Distance of the places that are tried for texture, pixels.
-const GRID_PX: u32 = 20;
+pub(crate) const GRID_PX: u32 = 20;
 /// Strength of a textured place: grey values × 16 per pixel, squared.
-const STRONG: f32 = 900.0;
+pub(crate) const STRONG: f32 = 900.0;
 /// Hull of the landmarks, grown by this about its middle, is the face.
 const GROWTH: f64 = 1.15;
 
