@@ -173,6 +173,17 @@ pub fn run(
     Ok(Run { found, keyframes: keys, pictures: read.pictures, face, notes })
 }
 
+/// Whether the program is there: asked before pictures are read.
+pub fn look_for(
+    options: &ColmapOptions,
+    log: &Path,
+    final_log: &Path,
+    reporter: &dyn Reporter,
+) -> Result<Option<Version>> {
+    let limit = options.time_limit;
+    find_version(&Runner { program: &options.program, log, final_log, started: Instant::now(), limit, reporter })
+}
+
 /// What the files in the work folder depend on.
 fn job(take: &Take, keys: &[u32], options: &ColmapOptions, version: &str, face: &BTreeMap<u32, Vec<DVec2>>) -> String {
     // Outlines to a tenth of a pixel: the mask's pixels hang on no more.

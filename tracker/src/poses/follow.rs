@@ -382,3 +382,7 @@ fn spread(marks: Vec<Mark>, lens: &Intrinsics) -> Vec<Mark> {
     first.truncate(MARKS);
     first
 }
+
+#[cfg(test)]
+#[path = "follow_tests.rs"]
+mod tests;

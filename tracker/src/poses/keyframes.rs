@@ -127,7 +127,7 @@ mod tests {
         assert_eq!(choose(&frames(5, |_| 1.0), 80), [0, 1, 2, 3, 4]);
         assert!(choose(&[], 80).is_empty());
         assert_eq!(default_count(&frames(5, |_| 1.0)), 40);
-        assert_eq!(default_count(&frames(3001, |_| 1.0)), 61);
+        assert_eq!(default_count(&frames(2999, |_| 1.0)), 61);
         assert_eq!(default_count(&frames(12_001, |_| 1.0)), 80);
     }
 

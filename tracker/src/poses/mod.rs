@@ -25,10 +25,12 @@ mod quality;
 mod refine;
 mod sharpen;
 mod sketch;
+mod skin;
 pub mod smooth;
 pub mod triangulate;
 pub mod work;
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -44,6 +46,7 @@ use self::colmap::{ColmapOptions, Keys};
 use self::depths::Head;
 use self::head::HeadOptions;
 use self::model::TakeModel;
+use self::picture::Picture;
 use self::sketch::Shown;
 use self::work::WORK_DIR;
 use crate::error::{Result, TrackerError};
@@ -250,6 +253,8 @@ fn place(take: &Take, track: &Track, options: &PosesOptions, folder: &Path, repo
             })
         }
         Source::Colmap(colmap_options) => {
+            let final_log = take.dir.join("poses").join("colmap.log");
+            colmap::look_for(colmap_options, &folder.join("colmap.log"), &final_log, reporter)?;
             let keys = colmap::read_keys(take, track, colmap_options, reporter)?;
             place_by_colmap(take, options, colmap_options, keys, folder, reporter)
         }
@@ -259,12 +264,20 @@ fn place(take: &Take, track: &Track, options: &PosesOptions, folder: &Path, repo
             reporter.note(&why);
             let mut placed = match choice {
                 Choice::Colmap => place_by_colmap(take, options, colmap_options, keys, folder, reporter)?,
-                Choice::Head => place_by_head(take, track, head_options, reporter)?,
+                Choice::Head => place_by_head(take, track, head_options, Some(&keys.pictures), reporter)?,
             };
             placed.notes.insert(0, why);
             Ok(placed)
         }
-        Source::Head(head_options) => place_by_head(take, track, head_options, reporter),
+        Source::Head(head_options) => {
+            // A take whose video is gone, or of a few frames, still has its landmarks.
+            let keys = colmap::read_keys(take, track, &ColmapOptions::default(), reporter);
+            let pictures = match keys {
+                Err(TrackerError::Cancelled { doing }) => return Err(TrackerError::Cancelled { doing }),
+                keys => keys.ok().map(|k| k.pictures),
+            };
+            place_by_head(take, track, head_options, pictures.as_ref(), reporter)
+        }
     }
 }
 
@@ -291,8 +304,14 @@ fn place_by_colmap(
     Ok(placed)
 }
 
-fn place_by_head(take: &Take, track: &Track, options: &HeadOptions, reporter: &dyn Reporter) -> Result<Placed> {
-    let route = head::find(take, track, options, reporter)?;
+fn place_by_head(
+    take: &Take,
+    track: &Track,
+    options: &HeadOptions,
+    pictures: Option<&BTreeMap<u32, Picture>>,
+    reporter: &dyn Reporter,
+) -> Result<Placed> {
+    let route = head::find(take, track, options, pictures, reporter)?;
     Ok(Placed {
         frames_tried: take.frames.len(),
         head: Some((route.head, route.hull)),

@@ -38,9 +38,9 @@ fn a_turned_and_grown_patch_needs_the_right_warp_or_the_affine_search() {
     let b = picture(m, middle - m * (middle + shift), 1.0);
     let template = Template::cut(&a, 0, middle, true).unwrap();
     let known = template.find(&b, middle, turn).unwrap();
-    assert!((known.centre - middle - shift).length() < 0.05, "{known:?}");
+    assert!((known.centre - middle - shift).length() < 0.08, "{known:?}");
     let found = template.find_affine(&b, middle, DMat2::IDENTITY).unwrap();
-    assert!((found.centre - middle - shift).length() < 0.05 && found.similarity > 0.99, "{found:?}");
+    assert!((found.centre - middle - shift).length() < 0.08 && found.similarity > 0.99, "{found:?}");
     let unwarped = template.find(&b, middle, DMat2::IDENTITY);
     assert!(unwarped.is_none_or(|u| u.similarity < found.similarity - 0.02));
 }

@@ -4,6 +4,8 @@ use risorius_formats::pose_report::{PoseMethod, PoseReport};
 
 /// Points miss the features by at most this share of the longer side.
 const MOST_ERROR_SHARE: f64 = 0.002;
+/// … and on the skin, which moves with the expression, by this.
+const MOST_SKIN_SHARE: f64 = 0.006;
 /// Rigid landmarks of the head route miss by at most this share of the longer side.
 const MOST_LANDMARK_SHARE: f64 = 0.02;
 /// Frames that have to get a pose.
@@ -34,7 +36,8 @@ pub(crate) fn problems(report: &PoseReport, longer_side: u32, focal_share: Optio
             },
         });
     }
-    if let Some(error) = report.reprojection_error_px.filter(|e| *e > MOST_ERROR_SHARE * side) {
+    let most = if colmap { MOST_ERROR_SHARE } else { MOST_SKIN_SHARE };
+    if let Some(error) = report.reprojection_error_px.filter(|e| *e > most * side) {
         found.push(Problem {
             what: format!("points miss their features by {error:.2} px"),
             advice: "hold the head still against the background, and use more light so that nothing blurs",

@@ -86,10 +86,23 @@ pub(crate) fn expected(
 }
 
 /// A point of the model with the views that the matcher found.
-struct Known {
-    id: u64,
-    position: DVec3,
-    views: Vec<(usize, DVec2)>,
+pub(crate) struct Known {
+    pub(crate) id: u64,
+    pub(crate) position: DVec3,
+    pub(crate) views: Vec<(usize, DVec2)>,
+}
+
+/// Where a point is looked for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Search {
+    /// In all cameras that see it from at most this far away in direction, radians …
+    pub(crate) near_rad: f64,
+    /// … and in those that the matcher found up to this far.
+    pub(crate) far_rad: f64,
+    /// At most this far from where it is expected, pixels.
+    pub(crate) reach_px: f64,
+    /// Levels that are searched before the finest, coarse to fine.
+    pub(crate) coarse: &'static [usize],
 }
 
 /// Refines the model by the pictures of its frames; `None` where there is too little to hold on to.
@@ -114,7 +127,12 @@ pub(crate) fn sharpen(model: &mut TakeModel, pictures: &BTreeMap<u32, Picture>) 
     let mut notes = Vec::new();
     let mut outcome = None;
     for (round, reach) in REACH_PX.into_iter().enumerate() {
-        scene.observations = find_views(&scene, &known, &pictures, reach);
+        scene.observations = find_views(
+            &scene,
+            &known,
+            &pictures,
+            Search { near_rad: NEAR_RAD, far_rad: FAR_RAD, reach_px: reach, coarse: &[] },
+        );
         if usable(&scene) < LEAST_POINTS {
             return None;
         }
@@ -163,7 +181,7 @@ fn known_points(model: &TakeModel, frames: &[u32]) -> Vec<Known> {
 }
 
 /// Finds every point's patch in the views that should show it.
-fn find_views(scene: &Scene, known: &[Known], pictures: &[&Picture], reach_px: f64) -> Vec<Observation> {
+pub(crate) fn find_views(scene: &Scene, known: &[Known], pictures: &[&Picture], search: Search) -> Vec<Observation> {
     let centres: Vec<DVec3> = scene.poses.iter().map(Isometry::camera_center).collect();
     let of_point = |(index, k): (usize, &Known)| -> Vec<Observation> {
         let point = scene.points[index];
@@ -175,13 +193,15 @@ fn find_views(scene: &Scene, known: &[Known], pictures: &[&Picture], reach_px: f
             return Vec::new();
         };
         let Some(template) = Template::cut(pictures[reference], 0, pixel, true) else { return Vec::new() };
+        let coarse: Vec<Template> =
+            search.coarse.iter().filter_map(|&l| Template::cut(pictures[reference], l, pixel, false)).collect();
         let from = &scene.poses[reference];
         let facing = direction(reference);
         let mut views: Vec<(f64, usize)> = (0..scene.poses.len())
             .filter(|&f| f != reference)
             .map(|f| (direction(f).dot(facing).clamp(-1.0, 1.0).acos(), f))
             .filter(|&(angle, f)| {
-                angle < NEAR_RAD || (angle < FAR_RAD && k.views.binary_search_by_key(&f, |v| v.0).is_ok())
+                angle < search.near_rad || (angle < search.far_rad && k.views.binary_search_by_key(&f, |v| v.0).is_ok())
             })
             .collect();
         if views.len() > MOST_VIEWS {
@@ -194,8 +214,10 @@ fn find_views(scene: &Scene, known: &[Known], pictures: &[&Picture], reach_px: f
             .iter()
             .filter_map(|&(_, f)| {
                 let (at, warp) = expected(&scene.lens, from, &scene.poses[f], pixel, point)?;
-                let m = template.find_affine(pictures[f], at, warp)?;
-                (m.similarity >= SAME && m.centre.distance(at) <= reach_px).then_some(Observation {
+                let start =
+                    coarse.iter().fold(at, |start, t| t.find(pictures[f], start, warp).map_or(start, |m| m.centre));
+                let m = template.find_affine(pictures[f], start, warp)?;
+                (m.similarity >= SAME && m.centre.distance(at) <= search.reach_px).then_some(Observation {
                     frame: f,
                     point: index,
                     pixel: m.centre,
@@ -212,7 +234,7 @@ fn find_views(scene: &Scene, known: &[Known], pictures: &[&Picture], reach_px: f
     known.par_iter().enumerate().map(of_point).collect::<Vec<_>>().concat()
 }
 
-fn usable(scene: &Scene) -> usize {
+pub(crate) fn usable(scene: &Scene) -> usize {
     scene.observations.chunk_by(|a, b| a.point == b.point).count()
 }
 
@@ -271,7 +293,7 @@ fn lens_note(lens: &Intrinsics, outcome: &Outcome, centre: bool, k2: bool) -> St
     format!("focal length {focal:.1} ± {:.1} px, {centre}, k1 {k1:.4} ± {:.4}{second}", sigma[0], sigma[3])
 }
 
-fn drop_beyond(scene: &mut Scene, limit_px: f64) {
+pub(crate) fn drop_beyond(scene: &mut Scene, limit_px: f64) {
     let errors = scene.errors_px();
     let mut kept: Vec<Observation> =
         scene.observations.iter().zip(&errors).filter(|(_, e)| **e <= limit_px).map(|(o, _)| *o).collect();
@@ -279,7 +301,7 @@ fn drop_beyond(scene: &mut Scene, limit_px: f64) {
     scene.observations = kept;
 }
 
-fn write_back(model: &mut TakeModel, lens_id: u32, frames: &[u32], known: &[Known], scene: &Scene) {
+pub(crate) fn write_back(model: &mut TakeModel, lens_id: u32, frames: &[u32], known: &[Known], scene: &Scene) {
     model.lenses.insert(lens_id, scene.lens);
     let mut points: Vec<Vec<Point2d>> = vec![Vec::new(); frames.len()];
     let mut solid: BTreeMap<u64, Point3d> = BTreeMap::new();

@@ -50,7 +50,7 @@ pub(crate) fn draw(report: &PoseReport, model: &TakeModel, shown: Option<&Shown<
     let width = 2.0 * VIEW + 60.0 + if shown.is_some() { VIEW + 20.0 } else { 0.0 };
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {:.0}\" font-family=\"sans-serif\" font-size=\"13\">\n<rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n",
-        VIEW + 90.0
+        VIEW + 110.0
     );
     let views = [("from above", right, -out), ("from the side", -out, -up)];
     for (i, (name, across, down)) in views.into_iter().enumerate() {
@@ -64,12 +64,13 @@ pub(crate) fn draw(report: &PoseReport, model: &TakeModel, shown: Option<&Shown<
     let error = report.reprojection_error_px.map_or(String::new(), |e| format!(", points miss by {e:.2} px"));
     let _ = writeln!(
         svg,
-        "<text x=\"20\" y=\"{:.0}\">{posed} of {} frames posed ({} registered, {} by patches, {} interpolated){error}. Dark to light: the camera's path in time; blue: frusta of some frames; dots: the face and the points.</text>\n</svg>",
+        "<text x=\"20\" y=\"{:.0}\">{posed} of {} frames posed ({} registered, {} by patches, {} interpolated){error}.</text>\n<text x=\"20\" y=\"{:.0}\">Dark to light: the camera's path in time; blue: frusta of some frames; dots: the face and the points. On the frame: features green, how far points miss red, landmarks blue, mean face orange.</text>\n</svg>",
         VIEW + 75.0,
         report.frames,
         report.frames_registered,
         report.frames_followed,
-        report.frames_interpolated
+        report.frames_interpolated,
+        VIEW + 95.0
     );
     Some(svg)
 }
@@ -158,7 +159,7 @@ fn overlay(svg: &mut String, left: f64, report: &PoseReport, model: &TakeModel, 
     }
     let _ = writeln!(
         svg,
-        "<text x=\"{left}\" y=\"28\">frame {}: features green, misses × {STRETCH:.0} red, mean face orange, landmarks blue</text>\n<image x=\"{left}\" y=\"40\" width=\"{:.1}\" height=\"{:.1}\" href=\"data:image/jpeg;base64,{}\"/>",
+        "<text x=\"{left}\" y=\"28\">frame {}: features, misses × {STRETCH:.0}; landmarks and mean face</text>\n<image x=\"{left}\" y=\"40\" width=\"{:.1}\" height=\"{:.1}\" href=\"data:image/jpeg;base64,{}\"/>",
         shown.frame,
         w * scale,
         h * scale,
