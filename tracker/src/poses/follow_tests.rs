@@ -63,7 +63,11 @@ fn render(pose: &Isometry) -> RgbImage {
 
 fn frames() -> Vec<FrameRecord> {
     (0..FRAMES)
-        .map(|i| FrameRecord { index: FrameIndex(i), timestamp_nanos: i64::from(i) * 33_000_000, ..FrameRecord::default() })
+        .map(|i| FrameRecord {
+            index: FrameIndex(i),
+            timestamp_nanos: i64::from(i) * 33_000_000,
+            ..FrameRecord::default()
+        })
         .collect()
 }
 
@@ -150,9 +154,8 @@ fn key_frames_become_exact_and_all_others_find_their_place() {
 
 #[test]
 fn frames_without_the_scene_are_lost_and_the_next_ones_found_again() {
-    let (dir, pictures) = video(|i, image| {
-        if (11..14).contains(&i) { RgbImage::from_pixel(240, 180, Rgb([90; 3])) } else { image }
-    });
+    let (dir, pictures) =
+        video(|i, image| if (11..14).contains(&i) { RgbImage::from_pixel(240, 180, Rgb([90; 3])) } else { image });
     let mut model = model();
     sharpen(&mut model, &pictures).unwrap();
     let frames = frames();
