@@ -23,8 +23,14 @@ const LEAST_PLACES: usize = 15;
 const LEAST_PAIRS: usize = 3;
 /// A patch is the same where it correlates at least this much.
 const SAME: f32 = 0.85;
-/// Head, hair and shoulders reach this far from the face, in face sizes to the side and upwards; downwards all is body.
-const HEAD_REACH: [f64; 2] = [1.0, 0.8];
+/// Head and hair reach this far from the face, in face sizes to the side and upwards …
+const HEAD_REACH: [f64; 2] = [0.35, 0.5];
+/// … and below the chin the body so far to each side.
+const BODY_REACH: f64 = 1.3;
+/// Where only the person has texture, a share like this stays in place before a still camera: bodies sway.
+const STILL_BODY: f64 = 0.12;
+/// … and COLMAP needs so many textured places beside the face.
+const LEAST_BODY_PLACES: usize = 80;
 
 /// What the cameras follow from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,48 +51,54 @@ pub(crate) fn decide(pictures: &BTreeMap<u32, Picture>, outlines: &BTreeMap<u32,
     let next = (1..seen.len()).map(|i| (i - 1, i));
     let first = (2..seen.len()).map(|i| (0, i));
     let pairs: Vec<(usize, usize)> = next.chain(first).collect();
-    let mut shares: Vec<f64> = pairs.par_iter().filter_map(|&(a, b)| still_share(seen[a], seen[b])).collect();
-    if shares.len() < LEAST_PAIRS {
-        let why = "chose the head route: nothing textured beside the head, only the face can tell".to_owned();
-        return (Choice::Head, why);
-    }
-    let share = median(&mut shares).unwrap_or(0.0);
+    let share_of = |with_body: bool| {
+        let mut shares: Vec<f64> =
+            pairs.par_iter().filter_map(|&(a, b)| still_share(seen[a], seen[b], with_body)).collect();
+        if shares.len() < LEAST_PAIRS { None } else { median(&mut shares) }
+    };
+    let (what, share, least) = match (share_of(false), share_of(true)) {
+        (Some(share), _) => ("the background", share, STILL),
+        (None, Some(share)) => ("what is seen beside the face", share, STILL_BODY),
+        (None, None) => {
+            let why = "chose the head route: nothing textured beside the face, only the face can tell".to_owned();
+            return (Choice::Head, why);
+        }
+    };
     let percent = 100.0 * share;
-    if share >= STILL {
+    if share >= least {
         (
             Choice::Head,
-            format!("chose the head route: the camera stands still, {percent:.0} % of the background stays in place"),
+            format!("chose the head route: the camera stands still, {percent:.0} % of {what} stays in place"),
         )
     } else {
-        (
-            Choice::Colmap,
-            format!("chose COLMAP: the camera moves, only {percent:.0} % of the background stays in place"),
-        )
+        (Choice::Colmap, format!("chose COLMAP: the camera moves, only {percent:.0} % of {what} stays in place"))
     }
 }
 
-/// The part of the picture that belongs to the person: left, right and top edge.
-fn person(outline: &[DVec2]) -> [f64; 3] {
+/// Whether a place belongs to neither head nor body.
+fn is_beside(outline: &[DVec2], p: DVec2) -> bool {
     let (mut lo, mut hi) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
-    for p in outline {
-        lo = lo.min(*p);
-        hi = hi.max(*p);
+    for q in outline {
+        lo = lo.min(*q);
+        hi = hi.max(*q);
     }
     let size = hi - lo;
-    [lo.x - HEAD_REACH[0] * size.x, hi.x + HEAD_REACH[0] * size.x, lo.y - HEAD_REACH[1] * size.y]
+    let reach = if p.y > hi.y { BODY_REACH } else { HEAD_REACH[0] } * size.x;
+    p.x < lo.x - reach || p.x > hi.x + reach || p.y < lo.y - HEAD_REACH[1] * size.y
 }
 
 /// Share of the textured places beside the person that stay where they are; `None` with too few of them.
-fn still_share(a: (&Picture, &Vec<DVec2>), b: (&Picture, &Vec<DVec2>)) -> Option<f64> {
+fn still_share(a: (&Picture, &Vec<DVec2>), b: (&Picture, &Vec<DVec2>), with_body: bool) -> Option<f64> {
     let [width, height] = a.0.size();
     let most = STILL_SHARE * f64::from(width.max(height));
-    let [pa, pb] = [person(a.1), person(b.1)];
-    let beside = |p: DVec2, [left, right, top]: [f64; 3]| p.x < left || p.x > right || p.y < top;
     let (mut places, mut still) = (0usize, 0usize);
     for y in 0..height / GRID_PX {
         for x in 0..width / GRID_PX {
             let at = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5) * f64::from(GRID_PX);
-            if !beside(at, pa) || !beside(at, pb) || hull_contains(a.1, at) {
+            let beside = |outline: &[DVec2]| {
+                if with_body { !hull_contains(outline, at) } else { is_beside(outline, at) }
+            };
+            if !beside(a.1) || !beside(b.1) {
                 continue;
             }
             let Some(template) = Template::cut(a.0, 0, at, false).filter(|t| t.strength >= STRONG) else { continue };
@@ -95,7 +107,7 @@ fn still_share(a: (&Picture, &Vec<DVec2>), b: (&Picture, &Vec<DVec2>)) -> Option
             still += usize::from(found.is_some_and(|m| m.similarity >= SAME && m.centre.distance(at) <= most));
         }
     }
-    (places >= LEAST_PLACES).then(|| still as f64 / places as f64)
+    (places >= if with_body { LEAST_BODY_PLACES } else { LEAST_PLACES }).then(|| still as f64 / places as f64)
 }
 
 #[cfg(test)]
