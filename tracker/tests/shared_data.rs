@@ -1,6 +1,7 @@
 //! Import and poses on the development data: a capture with exact truth and two real clips.
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![allow(clippy::print_stderr, reason = "a skipped test says so")]
 
 use std::fs;
 use std::path::PathBuf;

@@ -271,12 +271,12 @@ impl Scene {
             }
         }
         let lens = numbers(&self.lens);
-        for k in 0..LENS {
+        for (k, value) in lens.iter().enumerate() {
             let at = n - LENS + k;
             let sigma = start.prior.0[k];
             if sigma > 0.0 {
                 h[(at, at)] += sigma.powi(-2);
-                g[at] += (lens[k] - start.lens[k]) / (sigma * sigma);
+                g[at] += (value - start.lens[k]) / (sigma * sigma);
             } else {
                 h.row_mut(at).fill(0.0);
                 h.column_mut(at).fill(0.0);

@@ -38,10 +38,10 @@ impl Stage {
     }
 
     fn run_program(&self, program: PathBuf, limit: Option<Duration>, reporter: &dyn Reporter) -> (Result<Run>, String) {
-        self.run_options(&self.options(program, limit), reporter)
+        self.run_options(&Self::options(program, limit), reporter)
     }
 
-    fn options(&self, program: PathBuf, time_limit: Option<Duration>) -> ColmapOptions {
+    fn options(program: PathBuf, time_limit: Option<Duration>) -> ColmapOptions {
         ColmapOptions { program, time_limit, mask_face: MaskFace::On, ..ColmapOptions::default() }
     }
 
@@ -128,7 +128,7 @@ fn a_run_that_was_killed_goes_on_where_it_was_and_another_job_starts_afresh() {
     let (result, log) = stage.run("*) exit 7;;", None, &Collected::default());
     assert!(result.is_ok() && !log.contains("mapper"), "{log}");
     // Another job.
-    let options = ColmapOptions { max_features: 700, ..stage.options(stage.dir.path().join("colmap"), None) };
+    let options = ColmapOptions { max_features: 700, ..Stage::options(stage.dir.path().join("colmap"), None) };
     let (result, log) = stage.run_options(&options, &Collected::default());
     assert!(result.is_err() && log.contains("feature_extractor"), "{log}");
 }
@@ -136,7 +136,7 @@ fn a_run_that_was_killed_goes_on_where_it_was_and_another_job_starts_afresh() {
 #[test]
 fn a_take_of_a_few_frames_is_refused() {
     let stage = Stage::new();
-    let options = ColmapOptions { keyframes: Some(5), ..stage.options("colmap".into(), None) };
+    let options = ColmapOptions { keyframes: Some(5), ..Stage::options("colmap".into(), None) };
     let error = stage.run_options(&options, &Collected::default()).0.unwrap_err();
     assert!(matches!(error, TrackerError::FewFrames { frames: 5 }) && error.hint().is_some(), "{error}");
 }

@@ -142,7 +142,8 @@ impl Template {
             let reach = RADIUS as f32;
             let (rx, ry) =
                 (reach * (w.x_axis.x.abs() + w.y_axis.x.abs()), reach * (w.x_axis.y.abs() + w.y_axis.y.abs()));
-            if !(tx.is_finite() && ty.is_finite()) || !target.holds([tx - rx, tx + rx], [ty - ry, ty + ry]) {
+            let finite = tx.is_finite() && ty.is_finite();
+            if !finite || !target.holds([tx - rx, tx + rx], [ty - ry, ty + ry]) {
                 return None;
             }
             let (mut mean, mut square) = (0.0, 0.0);
