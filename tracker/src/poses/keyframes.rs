@@ -61,7 +61,7 @@ pub fn choose(frames: &[FrameRecord], count: usize) -> Vec<u32> {
 
 /// Pairs of key frames (by place in the list) whose pictures are worth comparing.
 ///
-/// Every frame with its next [`OVERLAP`] and with those 16, 32, 64 … later, and every [`LOOPS`]th with every other such
+/// Every frame with its next four and with those 8, 16, 32 … later, and every fourth with every other such
 /// frame: the camera of a selfie comes back to where it was. Few key frames are compared all with all.
 pub fn pairs(count: usize) -> Vec<(usize, usize)> {
     let wanted = |i: usize, j: usize| {
