@@ -30,6 +30,9 @@ pub struct PoseReport {
     pub frames_tried: u32,
     /// Frames it placed by itself.
     pub frames_registered: u32,
+    /// Frames placed by the pictures of the nearest registered ones.
+    #[serde(default)]
+    pub frames_followed: u32,
     /// Frames placed between placed ones by interpolation.
     pub frames_interpolated: u32,
     /// `frames_registered / frames_tried`.
@@ -58,6 +61,12 @@ pub struct PoseReport {
     /// projection are not rigid with the head and are left out of fitting.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub head_hull_in_world: Option<Vec<DVec3>>,
+    /// A box along the world's axes with the head in it: its corners of smallest and largest coordinates.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub head_box: Option<[DVec3; 2]>,
+    /// What speaks against these cameras; empty when nothing does.
+    #[serde(default)]
+    pub problems: Vec<String>,
     /// Frames whose camera was interpolated, as inclusive runs.
     #[serde(default)]
     pub interpolated_runs: Vec<[u32; 2]>,

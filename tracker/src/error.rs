@@ -138,6 +138,12 @@ pub enum TrackerError {
         /// The whole output.
         log: PathBuf,
     },
+    /// A take of a few frames.
+    #[error("the take has only {frames} frames, too few to find cameras from")]
+    FewFrames {
+        /// Its frames.
+        frames: usize,
+    },
     /// COLMAP placed too few frames.
     #[error("COLMAP placed only {registered} of {tried} key frames")]
     FewRegistered {
@@ -145,6 +151,14 @@ pub enum TrackerError {
         registered: usize,
         /// Handed over.
         tried: usize,
+    },
+    /// Cameras that should not be trusted.
+    #[error("the cameras are of low quality: {problems}")]
+    PoorPoses {
+        /// What is wrong.
+        problems: String,
+        /// What to do about it.
+        advice: String,
     },
     /// The landmarks' rays are nearly parallel: no depth.
     #[error("the cameras hardly move around the face: only {good} of 68 landmarks can be triangulated")]
@@ -230,19 +244,21 @@ impl Hint for TrackerError {
             }
             Self::ColmapFailed { log, .. } => format!("the whole output is in {}", log.display()).into(),
             Self::ColmapTimeout { log, .. } => format!(
-                "allow more with `--time-limit SECS` or ask for fewer `--keyframes`; the output is in {}",
+                "the same command goes on where it stopped; allow more with `--time-limit SECS` or ask for fewer `--keyframes`; the output is in {}",
                 log.display()
             )
             .into(),
             Self::ColmapNoModel { log, .. } => format!(
-                "it needs a camera that moves around a still, textured scene; for a still camera use `--method head`; the output is in {}",
+                "it needs a camera that moves around (turning on the spot is not enough) before a still, textured background; for a still camera use `--method head`; the output is in {}",
                 log.display()
             )
             .into(),
+            Self::FewFrames { .. } => "record some seconds while the camera moves around the head".into(),
             Self::FewRegistered { .. } => {
-                "try more `--keyframes`, a sharper or better lit take, or `--method head` for a still camera; `--accept-poor` takes what there is"
+                "move the camera around the head (turning on the spot is not enough), slowly, in good light, before a background with texture; for a still camera use `--method head`; `--accept-poor` takes what there is"
                     .into()
             }
+            Self::PoorPoses { advice, .. } => format!("{advice}; `--accept-poor` takes them as they are").into(),
             Self::TooLittleParallax { .. } => "for a still camera and a moving head use `--method head`".into(),
             Self::NoRuntime { .. } | Self::Runtime { .. } => format!(
                 "{FETCH}; `{LIBRARY_VARIABLE}` names a library of your own, version 1.24 or later"

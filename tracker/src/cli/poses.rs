@@ -10,16 +10,18 @@ use risorius_formats::pose_report::{PoseMethod, PoseReport};
 use serde::Deserialize;
 
 use crate::import::MIN_CONFIDENCE;
-use crate::poses::colmap::ColmapOptions;
+use crate::poses::colmap::{ColmapOptions, MaskFace};
 use crate::poses::head::{HeadOptions, SMOOTH_SECS};
 use crate::poses::interpolate::MAX_GAP_SECS;
 use crate::poses::{self, PosesOptions, Source};
 
 /// Find the camera of every frame
 ///
-/// `colmap` (default): the camera moves around a head that is held still; COLMAP places key frames and the others are
-/// interpolated. `head`: the camera stands still and the head moves. `--colmap-model` takes a finished COLMAP model.
-/// Needs the landmarks of `tracker import`. Writes TAKE/poses/sparse (COLMAP text) and TAKE/poses/report.json.
+/// `auto` (default) looks whether the background moves. `colmap`: the camera moves around a head that is held still;
+/// COLMAP places key frames, their patches place all other frames. `head`: the camera stands still and the head moves.
+/// `--colmap-model` takes a finished COLMAP model. Needs the landmarks of `tracker run` or `tracker import`. Writes
+/// TAKE/poses/sparse (COLMAP text), TAKE/poses/report.json and TAKE/poses/report.svg. A run that was stopped goes on
+/// where it was.
 #[derive(clap::Args, Debug)]
 #[command(after_help = "Examples:
   tracker poses takes/ada
@@ -28,7 +30,7 @@ use crate::poses::{self, PosesOptions, Source};
 pub(super) struct PosesArgs {
     /// The take
     take: PathBuf,
-    /// Where the cameras come from [default: colmap]
+    /// Where the cameras come from [default: auto]
     #[arg(long, value_name = "METHOD")]
     method: Option<MethodArg>,
     /// Take this COLMAP model (a folder with cameras, images and points3D, or one above it) instead of running COLMAP
@@ -37,7 +39,7 @@ pub(super) struct PosesArgs {
     /// Number of the take's first frame in the model's image names [default: 0]
     #[arg(long, value_name = "N", requires = "colmap_model")]
     colmap_first: Option<u32>,
-    /// Key frames that COLMAP gets [default: one per 0.33 s, 80 to 400]
+    /// Key frames that COLMAP gets [default: one per 0.5 s, 40 to 80]
     #[arg(long, value_name = "N")]
     keyframes: Option<usize>,
     /// The COLMAP program [default: colmap]
@@ -46,28 +48,31 @@ pub(super) struct PosesArgs {
     /// COLMAP's camera model [default: SIMPLE_RADIAL]
     #[arg(long, value_name = "NAME")]
     camera_model: Option<String>,
-    /// Features per key frame [default: 2000]
+    /// Features per key frame [default: 1500]
     #[arg(long, value_name = "N")]
     max_features: Option<u32>,
-    /// Leave the face out of COLMAP's features [default: off]
+    /// Leave the moving face out of COLMAP's features [default: auto, if there is enough texture beside it]
     #[arg(long, value_name = "WHETHER")]
-    mask_face: Option<Switch>,
+    mask_face: Option<MaskArg>,
     /// Stop COLMAP after this many seconds
     #[arg(long, value_name = "SECS")]
     time_limit: Option<u64>,
-    /// Keep COLMAP's pictures and database in TAKE/poses/.work
+    /// Keep COLMAP's pictures and database in TAKE/.poses-work
     #[arg(long)]
     keep_work: bool,
-    /// Take the result even if COLMAP placed few key frames
+    /// Take the result even if it is of low quality
     #[arg(long)]
     accept_poor: bool,
+    /// Millimetres between the person's pupils: the world becomes metres (63 is usual)
+    #[arg(long, value_name = "MM")]
+    eye_distance: Option<f64>,
     /// With `--method head`: focal length in pixels [default: from the table, or 1.2 × the longer side]
     #[arg(long, value_name = "PX")]
     focal: Option<f64>,
     /// With `--method head`: smooth the poses over this many seconds to each side, 0 is off [default: 0.06]
     #[arg(long, value_name = "SECS")]
     smooth: Option<f64>,
-    /// Leave interpolated poses as they are (by default the landmarks correct them); with `--method head`: take the
+    /// Leave COLMAP's poses as they are and interpolate between them; with `--method head`: take the
     /// table's poses as they are
     #[arg(long)]
     no_refine: bool,
@@ -76,13 +81,15 @@ pub(super) struct PosesArgs {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum MethodArg {
+    Auto,
     Colmap,
     Head,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-enum Switch {
+enum MaskArg {
+    Auto,
     On,
     Off,
 }
@@ -96,8 +103,9 @@ struct Settings {
     colmap: Option<PathBuf>,
     camera_model: Option<String>,
     max_features: Option<u32>,
-    mask_face: Option<Switch>,
+    mask_face: Option<MaskArg>,
     time_limit: Option<u64>,
+    eye_distance: Option<f64>,
     focal: Option<f64>,
     smooth: Option<f64>,
 }
@@ -110,15 +118,23 @@ pub(super) fn run(args: &PosesArgs, console: &Console) -> Result<(), Failure> {
     let source = if let Some(dir) = &args.colmap_model {
         Source::Model { dir: dir.clone(), first: args.colmap_first.unwrap_or(0) }
     } else {
-        match args.method.or(settings.method).unwrap_or(MethodArg::Colmap) {
-            MethodArg::Colmap => Source::Colmap(colmap_options(args, settings)?),
+        match args.method.or(settings.method).unwrap_or(MethodArg::Auto) {
+            MethodArg::Auto => Source::Auto(colmap_options(args, &settings)?, head_options(args, &settings)?),
+            MethodArg::Colmap => Source::Colmap(colmap_options(args, &settings)?),
             MethodArg::Head => Source::Head(head_options(args, &settings)?),
         }
     };
+    let eye_distance = args.eye_distance.or(settings.eye_distance);
+    if eye_distance.is_some_and(|d| !(d.is_finite() && d > 0.0)) {
+        return Err(Failure::usage("`--eye-distance` has to be a positive number of millimetres"));
+    }
     let options = PosesOptions {
         source,
         min_confidence: MIN_CONFIDENCE,
         max_gap_secs: MAX_GAP_SECS,
+        accept_poor: args.accept_poor,
+        eye_distance_mm: eye_distance,
+        follow: !args.no_refine,
         correct_by_landmarks: !args.no_refine,
     };
     let report = poses::find(&args.take, &options, console)?;
@@ -127,19 +143,23 @@ pub(super) fn run(args: &PosesArgs, console: &Console) -> Result<(), Failure> {
     Ok(())
 }
 
-fn colmap_options(args: &PosesArgs, settings: Settings) -> Result<ColmapOptions, Failure> {
+fn colmap_options(args: &PosesArgs, settings: &Settings) -> Result<ColmapOptions, Failure> {
     let defaults = ColmapOptions::default();
     let keyframes = args.keyframes.or(settings.keyframes);
     if keyframes.is_some_and(|n| n < 3) {
         return Err(Failure::usage("`--keyframes` has to be at least 3"));
     }
     Ok(ColmapOptions {
-        program: args.colmap.clone().or(settings.colmap).unwrap_or(defaults.program),
+        program: args.colmap.clone().or(settings.colmap.clone()).unwrap_or(defaults.program),
         keyframes,
-        camera_model: args.camera_model.clone().or(settings.camera_model).unwrap_or(defaults.camera_model),
+        camera_model: args.camera_model.clone().or(settings.camera_model.clone()).unwrap_or(defaults.camera_model),
         max_features: args.max_features.or(settings.max_features).unwrap_or(defaults.max_features),
         max_side: defaults.max_side,
-        mask_face: args.mask_face.or(settings.mask_face).map_or(defaults.mask_face, |s| s == Switch::On),
+        mask_face: args.mask_face.or(settings.mask_face).map_or(defaults.mask_face, |m| match m {
+            MaskArg::Auto => MaskFace::Auto,
+            MaskArg::On => MaskFace::On,
+            MaskArg::Off => MaskFace::Off,
+        }),
         time_limit: args.time_limit.or(settings.time_limit).map(Duration::from_secs),
         keep_work: args.keep_work,
         accept_poor: args.accept_poor,
@@ -166,12 +186,13 @@ pub(super) fn in_words(r: &PoseReport) -> String {
         PoseMethod::Head => "head pose (still camera)",
     };
     let mut text = format!(
-        "method        {method}\nframes        {} of {} with a pose: {} of {} placed ({:.1} %), {} interpolated",
-        r.frames_registered + r.frames_interpolated,
+        "method        {method}\nframes        {} of {} with a pose: {} of {} placed ({:.1} %), {} by patches of those, {} interpolated",
+        r.frames_registered + r.frames_followed + r.frames_interpolated,
         r.frames,
         r.frames_registered,
         r.frames_tried,
         100.0 * r.registered_share,
+        r.frames_followed,
         r.frames_interpolated
     );
     if let Some(error) = r.reprojection_error_px {
@@ -186,6 +207,9 @@ pub(super) fn in_words(r: &PoseReport) -> String {
         "\nhead          depth {:.3} … {:.3}{unit}, radius {:.3}{unit}\nnear, far     {:.3}, {:.3}{unit}",
         r.head_depth[0], r.head_depth[1], r.head_radius, r.near, r.far
     );
+    for problem in &r.problems {
+        let _ = write!(text, "\nproblem       {problem}");
+    }
     for note in &r.notes {
         let _ = write!(text, "\nnote          {note}");
     }

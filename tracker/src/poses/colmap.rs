@@ -10,22 +10,43 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use glam::DVec2;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ImageEncoder, RgbImage, imageops};
 use risorius_formats::{FormatError, FrameIndex, Reporter, Silent, Take, Track, Warning};
 
 use super::child::{Runner, number_after};
 use super::flags::{Flags, Version};
+use super::join::join;
 use super::model::{self, Found};
+use super::picture::Picture;
+use super::work::{self, Work};
 use super::{keyframes, mask};
 use crate::error::{Result, TrackerError};
 
 /// Below this share of placed key frames the result is refused.
 pub const MIN_REGISTERED_SHARE: f64 = 0.4;
+/// Pictures whose longer side is below this are doubled for the features.
+const SMALL_SIDE: u32 = 720;
 /// Pairs per call of the matcher.
 const PAIRS_PER_CALL: usize = 150;
+/// Key frames needed at least.
+const FEWEST_KEYS: usize = 8;
+/// So many textured places beside the face, and the face is left out.
+const TEXTURED: usize = 100;
 /// COLMAP's own least number of images of a model.
 const MIN_IMAGES: usize = 3;
+
+/// Whether features on the face are left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MaskFace {
+    /// If there is enough else to hold on to.
+    Auto,
+    /// Always.
+    On,
+    /// Never.
+    Off,
+}
 
 /// How COLMAP is run.
 #[derive(Clone, Debug)]
@@ -41,10 +62,10 @@ pub struct ColmapOptions {
     /// Key frames are reduced until their longer side is at most this, pixels.
     pub max_side: u32,
     /// Whether features on the face are left out.
-    pub mask_face: bool,
+    pub mask_face: MaskFace,
     /// How long COLMAP may take.
     pub time_limit: Option<Duration>,
-    /// Whether the pictures and the database stay in `poses/.work`.
+    /// Whether the pictures and the database stay in the take's `.poses-work`.
     pub keep_work: bool,
     /// Take a model even if few key frames were placed.
     pub accept_poor: bool,
@@ -58,9 +79,9 @@ impl Default for ColmapOptions {
             // A second focal length and tangential terms trade off against the pose: with OPENCV, a capture with
             // known square pixels came out with fy 0.4 % off and every pose turned by the same 0.12°.
             camera_model: "SIMPLE_RADIAL".into(),
-            max_features: 2000,
-            max_side: 1600,
-            mask_face: false,
+            max_features: 1500,
+            max_side: 1280,
+            mask_face: MaskFace::Auto,
             time_limit: None,
             keep_work: false,
             accept_poor: false,
@@ -75,16 +96,21 @@ pub struct Run {
     pub found: Found,
     /// The key frames.
     pub keyframes: Vec<u32>,
+    /// Their pictures.
+    pub(crate) pictures: BTreeMap<u32, Picture>,
+    /// Outline of the masked face in them, pixels; empty without masks.
+    pub(crate) face: BTreeMap<u32, Vec<DVec2>>,
     /// What to know.
     pub notes: Vec<String>,
 }
 
-/// Runs COLMAP with its files in `work`, its output in `log`, which will later be found at `final_log`.
+/// Runs COLMAP with its files in the folder `work_dir`, where an unfinished run of the same job goes on; its output is
+/// in `log`, which will later be found at `final_log`.
 pub fn run(
     take: &Take,
-    track: &Track,
     options: &ColmapOptions,
-    work: &Path,
+    read: Keys,
+    work_dir: &Path,
     log: &Path,
     final_log: &Path,
     reporter: &dyn Reporter,
@@ -94,36 +120,48 @@ pub fn run(
     // Asked first: a missing program should not cost the extraction of pictures.
     let version = find_version(&runner)?;
     let flags = Flags::of(version);
-    let keys =
-        keyframes::choose(&take.frames, options.keyframes.unwrap_or_else(|| keyframes::default_count(&take.frames)));
-    let pictures = work.join("images");
-    let database = work.join("database.db");
-    extract(take, track, &keys, options, work, reporter)?;
-    reporter.stage("features", Some(keys.len() as u64));
-    let mut args = words(&[
-        ("--database_path", database.as_os_str()),
-        ("--image_path", pictures.as_os_str()),
-        ("--ImageReader.single_camera", "1".as_ref()),
-        ("--ImageReader.camera_model", options.camera_model.as_ref()),
-        ("--SiftExtraction.max_num_features", options.max_features.to_string().as_ref()),
-        (flags.extraction_gpu, "0".as_ref()),
-    ]);
-    if options.mask_face {
-        args.extend(words(&[("--ImageReader.mask_path", work.join("masks").as_os_str())]));
+    let version = version.map_or("of unknown version".to_owned(), |v| v.to_string());
+    let keys: Vec<u32> = read.pictures.keys().copied().collect();
+    let (masked, why) = decide_mask(options.mask_face, &read.pictures, &read.outlines);
+    let face = if masked { read.outlines.clone() } else { BTreeMap::new() };
+    let work = Work::open(work_dir.to_owned(), &job(take, &keys, options, &version, &face))?;
+    let mut notes = vec![format!("COLMAP {version} on {} key frames", keys.len()), why];
+    if work.is_done("features") {
+        let message = "went on where an earlier run had stopped".to_owned();
+        reporter.note(&message);
+        notes.push(message);
     }
-    runner.run("feature_extractor", &args, Some(|line| number_after(line, "Processed file [")))?;
-    compare(&runner, &keys, &database, flags, work)?;
-    map(&runner, &keys, &database, &pictures, flags, work)?;
-    let found = pick(take, work, final_log, keys.len())?;
+    if !work.is_done("pictures") {
+        write_keys(&keys, &read, &face, masked, take, &work)?;
+        work.done("pictures")?;
+    }
+    let (pictures, database) = (work.path("images"), work.path("database.db"));
+    if !work.is_done("features") {
+        reporter.stage("features", Some(keys.len() as u64));
+        let mut args = words(&[
+            ("--database_path", database.as_os_str()),
+            ("--image_path", pictures.as_os_str()),
+            ("--ImageReader.single_camera", "1".as_ref()),
+            ("--ImageReader.camera_model", options.camera_model.as_ref()),
+            ("--SiftExtraction.max_num_features", options.max_features.to_string().as_ref()),
+            ("--SiftExtraction.first_octave", first_octave(take, options).as_ref()),
+            // A second orientation of the same place doubles the comparisons and adds no point.
+            ("--SiftExtraction.max_num_orientations", "1".as_ref()),
+            (flags.extraction_gpu, "0".as_ref()),
+        ]);
+        if masked {
+            args.extend(words(&[("--ImageReader.mask_path", work.path("masks").as_os_str())]));
+        }
+        runner.run("feature_extractor", &args, Some(|line| number_after(line, "Processed file [")))?;
+        work.done("features")?;
+    }
+    compare(&runner, &keys, &database, flags, &work)?;
+    if !work.is_done("map") {
+        map(&runner, &keys, &database, &pictures, flags, &work)?;
+        work.done("map")?;
+    }
+    let found = pick(take, &work, final_log, keys.len(), &mut notes)?;
     let registered = found.model.frames.len();
-    let mut notes = vec![
-        format!(
-            "COLMAP {} on {} key frames",
-            version.map_or("of unknown version".into(), |v| v.to_string()),
-            keys.len()
-        ),
-        format!("took the largest of {} sub-models with {registered} images", found.candidates),
-    ];
     if (registered as f64) < MIN_REGISTERED_SHARE * keys.len() as f64 {
         if !options.accept_poor {
             return Err(TrackerError::FewRegistered { registered, tried: keys.len() });
@@ -132,7 +170,46 @@ pub fn run(
         reporter.warn(Warning::new("few-registered", message.clone()));
         notes.push(message);
     }
-    Ok(Run { found, keyframes: keys, notes })
+    Ok(Run { found, keyframes: keys, pictures: read.pictures, face, notes })
+}
+
+/// Whether the program is there: asked before pictures are read.
+pub fn look_for(
+    options: &ColmapOptions,
+    log: &Path,
+    final_log: &Path,
+    reporter: &dyn Reporter,
+) -> Result<Option<Version>> {
+    let limit = options.time_limit;
+    find_version(&Runner { program: &options.program, log, final_log, started: Instant::now(), limit, reporter })
+}
+
+/// What the files in the work folder depend on.
+fn job(take: &Take, keys: &[u32], options: &ColmapOptions, version: &str, face: &BTreeMap<u32, Vec<DVec2>>) -> String {
+    // Outlines to a tenth of a pixel: the mask's pixels hang on no more.
+    let face: Vec<[i64; 3]> = face
+        .iter()
+        .flat_map(|(&f, hull)| hull.iter().map(move |p| [i64::from(f), (p.x * 10.0) as i64, (p.y * 10.0) as i64]))
+        .collect();
+    serde_json::json!({
+        "video": take.manifest.media_sha256,
+        "size": [take.manifest.width, take.manifest.height],
+        "frames": keys,
+        "colmap": version,
+        "camera_model": options.camera_model,
+        "max_features": options.max_features,
+        "max_side": options.max_side,
+        "face": face,
+    })
+    .to_string()
+}
+
+/// COLMAP doubles its pictures before it looks for features: four times the work, for features of a pixel or two.
+///
+/// Small pictures have few others. The places need not be exact, since they are found again by their patches.
+fn first_octave(take: &Take, options: &ColmapOptions) -> &'static str {
+    let side = take.manifest.width.max(take.manifest.height).min(options.max_side);
+    if side < SMALL_SIDE { "-1" } else { "0" }
 }
 
 fn find_version(runner: &Runner<'_>) -> Result<Option<Version>> {
@@ -162,39 +239,93 @@ fn create_dir(dir: &Path) -> Result<()> {
     fs::create_dir_all(dir).map_err(|e| FormatError::io(dir, "create the folder", &e).into())
 }
 
-/// Writes the key frames (and masks) as PNG.
-fn extract(
-    take: &Take,
-    track: &Track,
-    keys: &[u32],
-    options: &ColmapOptions,
-    work: &Path,
-    reporter: &dyn Reporter,
-) -> Result<()> {
-    let (pictures, masks) = (work.join("images"), work.join("masks"));
-    create_dir(&pictures)?;
-    if options.mask_face {
-        create_dir(&masks)?;
+/// Key frames in memory.
+pub struct Keys {
+    /// Grey, for patches.
+    pub(crate) pictures: BTreeMap<u32, Picture>,
+    /// In colour and at the size for COLMAP.
+    reduced: BTreeMap<u32, RgbImage>,
+    /// Outlines of the faces, pixels, where there are landmarks.
+    pub(crate) outlines: BTreeMap<u32, Vec<DVec2>>,
+}
+
+/// Chooses and reads the key frames.
+pub fn read_keys(take: &Take, track: &Track, options: &ColmapOptions, reporter: &dyn Reporter) -> Result<Keys> {
+    let keys =
+        keyframes::choose(&take.frames, options.keyframes.unwrap_or_else(|| keyframes::default_count(&take.frames)));
+    if keys.len() < FEWEST_KEYS {
+        return Err(TrackerError::FewFrames { frames: keys.len() });
     }
-    let by_frame: BTreeMap<u32, _> = track.rows.iter().filter(|r| r.success).map(|r| (r.frame.0, r)).collect();
+    let mut read = Keys { pictures: BTreeMap::new(), reduced: BTreeMap::new(), outlines: outlines(track, &keys) };
     reporter.stage("key frames", Some(keys.len() as u64));
-    risorius_video::read_frames(take.media_path(), keys, |frame, picture| {
+    risorius_video::read_frames(take.media_path(), &keys, |frame, picture| -> Result<()> {
         if reporter.cancelled() {
             return Err(TrackerError::Cancelled { doing: "extracting key frames".into() });
         }
-        let name = FrameIndex(frame).image_name();
-        let picture = reduced(picture, options.max_side);
-        write_png(&pictures.join(&name), &picture)?;
-        if options.mask_face {
+        read.pictures.insert(frame, Picture::new(&picture));
+        read.reduced.insert(frame, reduced(picture, options.max_side));
+        reporter.advance(1);
+        Ok(())
+    })?;
+    Ok(read)
+}
+
+/// Outlines of the faces in the key frames.
+fn outlines(track: &Track, keys: &[u32]) -> BTreeMap<u32, Vec<DVec2>> {
+    let rows = track.rows.iter().filter(|r| r.success && keys.binary_search(&r.frame.0).is_ok());
+    rows.filter_map(|r| Some((r.frame.0, mask::face_outline(r.landmarks.as_deref()?, 1.0)))).collect()
+}
+
+/// Whether the face is left out, and why.
+fn decide_mask(
+    mask: MaskFace,
+    pictures: &BTreeMap<u32, Picture>,
+    outlines: &BTreeMap<u32, Vec<DVec2>>,
+) -> (bool, String) {
+    match mask {
+        MaskFace::On => (true, "features on the face left out, as asked".to_owned()),
+        MaskFace::Off => (false, "features on the face used, as asked".to_owned()),
+        MaskFace::Auto if outlines.is_empty() => {
+            (false, "features everywhere: no key frame has landmarks to mask the face by".to_owned())
+        }
+        MaskFace::Auto => {
+            let outside = mask::texture_outside(pictures, outlines);
+            if outside >= TEXTURED {
+                (true, format!("features on the moving face left out: {outside} textured places beside it"))
+            } else {
+                (false, format!("features on the face used: only {outside} textured places beside it"))
+            }
+        }
+    }
+}
+
+/// Writes the key frames (and masks) as PNG.
+fn write_keys(
+    keys: &[u32],
+    read: &Keys,
+    face: &BTreeMap<u32, Vec<DVec2>>,
+    masked: bool,
+    take: &Take,
+    work: &Work,
+) -> Result<()> {
+    let (pictures, masks) = (work.path("images"), work.path("masks"));
+    create_dir(&pictures)?;
+    if masked {
+        create_dir(&masks)?;
+    }
+    for frame in keys {
+        let Some(picture) = read.reduced.get(frame) else { continue };
+        let name = FrameIndex(*frame).image_name();
+        write_png(&pictures.join(&name), picture)?;
+        if masked {
             let scale = f64::from(picture.width()) / f64::from(take.manifest.width);
-            let landmarks = by_frame.get(&frame).and_then(|r| r.landmarks.as_deref());
-            let mask = mask::outside_face(picture.width(), picture.height(), scale, landmarks);
+            let outline = face.get(frame).map(Vec::as_slice);
+            let mask = mask::outside_face(picture.width(), picture.height(), scale, outline);
             let path = masks.join(format!("{name}.png"));
             mask.save(&path).map_err(|e| FormatError::syntax(format!("cannot write: {e}")).in_file(&path))?;
         }
-        reporter.advance(1);
-        Ok(())
-    })
+    }
+    Ok(())
 }
 
 fn reduced(picture: RgbImage, max_side: u32) -> RgbImage {
@@ -215,11 +346,16 @@ fn write_png(path: &Path, picture: &RgbImage) -> Result<()> {
         .map_err(|e| FormatError::syntax(format!("cannot write: {e}")).in_file(path).into())
 }
 
-fn compare(runner: &Runner<'_>, keys: &[u32], database: &Path, flags: Flags, work: &Path) -> Result<()> {
+fn compare(runner: &Runner<'_>, keys: &[u32], database: &Path, flags: Flags, work: &Work) -> Result<()> {
     let pairs = keyframes::pairs(keys.len());
     runner.reporter.stage("compare pictures", Some(pairs.len() as u64));
     for (i, portion) in pairs.chunks(PAIRS_PER_CALL).enumerate() {
-        let list = work.join(format!("pairs_{i:04}.txt"));
+        let step = format!("pairs_{i:04}");
+        if work.is_done(&step) {
+            runner.reporter.advance(portion.len() as u64);
+            continue;
+        }
+        let list = work.path(&format!("{step}.txt"));
         let mut text = String::new();
         for &(a, b) in portion {
             // Writing into a string cannot fail.
@@ -233,13 +369,16 @@ fn compare(runner: &Runner<'_>, keys: &[u32], database: &Path, flags: Flags, wor
             (flags.matching_gpu, "0".as_ref()),
         ]);
         runner.run("matches_importer", &args, None)?;
+        work.done(&step)?;
         runner.reporter.advance(portion.len() as u64);
     }
     Ok(())
 }
 
-fn map(runner: &Runner<'_>, keys: &[u32], database: &Path, pictures: &Path, flags: Flags, work: &Path) -> Result<()> {
-    let sparse = work.join("sparse");
+fn map(runner: &Runner<'_>, keys: &[u32], database: &Path, pictures: &Path, flags: Flags, work: &Work) -> Result<()> {
+    let sparse = work.path("sparse");
+    // Half a model of a run that was killed.
+    work::remove(&sparse)?;
     create_dir(&sparse)?;
     runner.reporter.stage("map", Some(keys.len() as u64));
     let args = words(&[
@@ -270,14 +409,32 @@ fn is_about_no_model(log: &Path) -> bool {
     text.contains("failed to create sparse model") || text.contains("no good initial image pair")
 }
 
-fn pick(take: &Take, work: &Path, log: &Path, tried: usize) -> Result<Found> {
-    let sparse = work.join("sparse");
-    if model::model_dirs(&sparse).is_empty() {
+/// The largest sub-model, with the others joined to it where they share frames.
+fn pick(take: &Take, work: &Work, log: &Path, tried: usize, notes: &mut Vec<String>) -> Result<Found> {
+    let sparse = work.path("sparse");
+    let dirs = model::model_dirs(&sparse);
+    if dirs.is_empty() {
         return Err(TrackerError::ColmapNoModel { tried, log: log.to_owned() });
     }
     // Silent: that the pictures were reduced is our own doing.
-    let found = model::load(&sparse, take, 0, &Silent)?;
-    if found.model.frames.len() < MIN_IMAGES {
+    let mut found = model::load(&sparse, take, 0, &Silent)?;
+    let largest = found.model.frames.len();
+    let mut joined = 0;
+    for dir in dirs.iter().filter(|d| **d != found.dir) {
+        let other = model::load(dir, take, 0, &Silent)?;
+        joined += usize::from(join(&mut found.model, &other.model));
+    }
+    let registered = found.model.frames.len();
+    notes.push(match (dirs.len(), joined) {
+        (1, _) => format!("one model with {registered} images"),
+        (n, 0) => {
+            format!("took the largest of {n} sub-models with {registered} images; the others share too few frames")
+        }
+        (n, joined) => {
+            format!("{joined} of {} sub-models joined to the largest: {largest} and then {registered} images", n - 1)
+        }
+    });
+    if registered < MIN_IMAGES {
         return Err(TrackerError::ColmapNoModel { tried, log: log.to_owned() });
     }
     Ok(found)

@@ -38,13 +38,19 @@ impl Stage {
     }
 
     fn run_program(&self, program: PathBuf, limit: Option<Duration>, reporter: &dyn Reporter) -> (Result<Run>, String) {
-        let options = ColmapOptions { program, time_limit: limit, mask_face: true, ..ColmapOptions::default() };
+        self.run_options(&Self::options(program, limit), reporter)
+    }
+
+    fn options(program: PathBuf, time_limit: Option<Duration>) -> ColmapOptions {
+        ColmapOptions { program, time_limit, mask_face: MaskFace::On, ..ColmapOptions::default() }
+    }
+
+    fn run_options(&self, options: &ColmapOptions, reporter: &dyn Reporter) -> (Result<Run>, String) {
         let work = self.dir.path().join("work");
-        let _ = fs::remove_dir_all(&work);
-        fs::create_dir(&work).unwrap();
         let log = self.dir.path().join("colmap.log");
         let _ = fs::remove_file(&log);
-        let result = run(&self.take, &Track::default(), &options, &work, &log, Path::new("final.log"), reporter);
+        let result = read_keys(&self.take, &Track::default(), options, reporter)
+            .and_then(|keys| run(&self.take, options, keys, &work, &log, Path::new("final.log"), reporter));
         (result, fs::read_to_string(log).unwrap_or_default())
     }
 }
@@ -106,6 +112,36 @@ fn too_few_placed_frames_are_refused_with_advice() {
 }
 
 #[test]
+fn a_run_that_was_killed_goes_on_where_it_was_and_another_job_starts_afresh() {
+    let stage = Stage::new();
+    let killed = "feature_extractor|matches_importer) ;;\nmapper) shift; while [ \"$1\" != --output_path ]; do shift; done; mkdir \"$2/0\"; : > \"$2/0/images.txt\"; : > \"$2/0/cameras.txt\"; kill -9 $$;;";
+    let (result, log) = stage.run(killed, None, &Collected::default());
+    assert!(matches!(result.unwrap_err(), TrackerError::ColmapFailed { .. }));
+    assert!(log.contains("feature_extractor") && log.contains("matches_importer"));
+    // The half model is gone; features and comparisons are not made again.
+    let (result, log) = stage.run(&mapper(10), None, &Collected::default());
+    let run = result.unwrap();
+    assert_eq!(run.found.model.frames.len(), 10);
+    assert!(!log.contains("feature_extractor") && !log.contains("matches_importer") && log.contains("mapper"), "{log}");
+    assert!(run.notes.iter().any(|n| n.contains("went on")), "{:?}", run.notes);
+    // All done: COLMAP is only asked for its version.
+    let (result, log) = stage.run("*) exit 7;;", None, &Collected::default());
+    assert!(result.is_ok() && !log.contains("mapper"), "{log}");
+    // Another job.
+    let options = ColmapOptions { max_features: 700, ..Stage::options(stage.dir.path().join("colmap"), None) };
+    let (result, log) = stage.run_options(&options, &Collected::default());
+    assert!(result.is_err() && log.contains("feature_extractor"), "{log}");
+}
+
+#[test]
+fn a_take_of_a_few_frames_is_refused() {
+    let stage = Stage::new();
+    let options = ColmapOptions { keyframes: Some(5), ..Stage::options("colmap".into(), None) };
+    let error = stage.run_options(&options, &Collected::default()).0.unwrap_err();
+    assert!(matches!(error, TrackerError::FewFrames { frames: 5 }) && error.hint().is_some(), "{error}");
+}
+
+#[test]
 fn a_failing_step_is_named_with_its_last_words() {
     let stage = Stage::new();
     let (result, log) =
@@ -135,14 +171,17 @@ fn a_step_that_hangs_is_ended_at_the_time_limit_or_on_request() {
 fn no_model_is_told_apart_from_a_crash() {
     let stage = Stage::new();
     let start = "feature_extractor|matches_importer) ;;\n";
+    let afresh = || work::remove(&stage.dir.path().join("work")).unwrap();
     let (result, _) = stage.run(
         &format!("{start}mapper) echo 'ERROR: failed to create sparse model'; exit 1;;"),
         None,
         &Collected::default(),
     );
     assert!(matches!(result.unwrap_err(), TrackerError::ColmapNoModel { tried: 10, .. }));
+    afresh();
     let (result, _) = stage.run(&format!("{start}mapper) exit 0;;"), None, &Collected::default());
     assert!(matches!(result.unwrap_err(), TrackerError::ColmapNoModel { .. }));
+    afresh();
     let (result, _) = stage.run(&format!("{start}mapper) kill -9 $$;;"), None, &Collected::default());
     assert!(matches!(result.unwrap_err(), TrackerError::ColmapFailed { .. }));
 }

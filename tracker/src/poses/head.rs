@@ -14,7 +14,9 @@ use risorius_formats::{Camera, Intrinsics, Isometry, Reporter, Take, Track, Trac
 use super::depths::Head;
 use super::focal::table_camera;
 use super::model::{PlacedFrame, TakeModel};
+use super::picture::Picture;
 use super::refine::{Bundle, FrameView, RigidPoint, refine_pose};
+use super::skin;
 use super::smooth::smooth;
 use super::triangulate::{View, median, triangulate};
 use crate::error::{Result, TrackerError};
@@ -25,6 +27,8 @@ const DEFAULT_FOCAL: f64 = 1.2;
 const MOST_ADJUSTED: usize = 1500;
 /// How far the shape may stray from the tracker's, metres.
 const SHAPE_SIGMA_M: f64 = 0.005;
+/// Poses from the skin are less noisy: their window is so much smaller.
+const SKIN_SMOOTH: f64 = 0.5;
 /// Half the window of the temporal smoothing, seconds.
 pub const SMOOTH_SECS: f64 = 0.06;
 
@@ -75,7 +79,15 @@ pub struct HeadRoute {
 }
 
 /// Finds the poses of all frames with a valid row.
-pub fn find(take: &Take, track: &Track, options: &HeadOptions, reporter: &dyn Reporter) -> Result<HeadRoute> {
+///
+/// With pictures of key frames the skin refines what the landmarks say.
+pub(crate) fn find(
+    take: &Take,
+    track: &Track,
+    options: &HeadOptions,
+    pictures: Option<&BTreeMap<u32, Picture>>,
+    reporter: &dyn Reporter,
+) -> Result<HeadRoute> {
     let lacks =
         |missing: &str, hint| TrackerError::TrackLacks { path: take.openface_path(), missing: missing.into(), hint };
     let rows: Vec<&TrackRow> = track
@@ -103,9 +115,34 @@ pub fn find(take: &Take, track: &Track, options: &HeadOptions, reporter: &dyn Re
         refine(&lens, &rows, &before, &mut poses, reporter)?;
     }
     let frames: Vec<u32> = rows.iter().map(|r| r.frame.0).collect();
+    let secs: Vec<f64> = frames.iter().map(|&f| take.frames[f as usize].timestamp_nanos as f64 * 1e-9).collect();
     if options.smooth_secs > 0.0 {
-        let secs: Vec<f64> = frames.iter().map(|&f| take.frames[f as usize].timestamp_nanos as f64 * 1e-9).collect();
         poses = smooth(&poses, &secs, options.smooth_secs);
+    }
+    let mut skin_model = None;
+    if options.refine
+        && let Some(pictures) = pictures
+    {
+        let face = face_of(&lens, &poses, &rows).ok_or(TrackerError::TooLittleParallax { good: 0 })?;
+        let by_frame = frames.iter().copied().zip(poses.iter().copied()).collect();
+        let landmarks = rows.iter().filter_map(|r| Some((r.frame.0, r.landmarks.as_deref()?))).collect();
+        match skin::refine(take, &lens, &by_frame, &landmarks, &face.landmarks, pictures, reporter)? {
+            Some(skin) => {
+                let replaced = replace(&frames, &mut poses, &skin.poses);
+                notes.push(format!(
+                    "{replaced} of {} poses from {} places on the skin in {} views: median error {:.2} px",
+                    frames.len(),
+                    skin.points,
+                    skin.views,
+                    skin.error_px
+                ));
+                if options.smooth_secs > 0.0 {
+                    poses = smooth(&poses, &secs, options.smooth_secs * SKIN_SMOOTH);
+                }
+                skin_model = Some(skin.model);
+            }
+            None => notes.push("poses from the landmarks alone: too little of the skin is found again".to_owned()),
+        }
     }
     let after = face_of(&lens, &poses, &rows).ok_or(TrackerError::TooLittleParallax { good: 0 })?;
     notes.push(format!(
@@ -118,11 +155,35 @@ pub fn find(take: &Take, track: &Track, options: &HeadOptions, reporter: &dyn Re
         .iter()
         .zip(&poses)
         .map(|(&frame, &camera_from_world)| (frame, PlacedFrame { lens: 1, camera_from_world, points: Vec::new() }));
-    let model = TakeModel { lenses: BTreeMap::from([(1, lens)]), frames: placed.collect(), points: BTreeMap::new() };
+    let mut model =
+        TakeModel { lenses: BTreeMap::from([(1, lens)]), frames: placed.collect(), points: BTreeMap::new() };
+    if let Some(skin) = skin_model {
+        model.points = skin.points;
+        for (frame, key) in skin.frames {
+            if let Some(placed) = model.frames.get_mut(&frame) {
+                placed.points = key.points;
+            }
+        }
+    }
     let center = after.landmarks.iter().sum::<DVec3>() / after.landmarks.len() as f64;
     let radius = after.landmarks.iter().map(|p| p.distance(center)).fold(0.0, f64::max);
     let head = Head { center, radius, landmark_error_px: after.error_px, landmarks: after.landmarks };
     Ok(HeadRoute { model, head, hull, notes })
+}
+
+/// Puts the found poses in place; those between and beside that were not found move along with the nearest found ones.
+fn replace(frames: &[u32], poses: &mut [Isometry], found: &BTreeMap<u32, Isometry>) -> usize {
+    let moves: Vec<(u32, Isometry)> = frames
+        .iter()
+        .zip(poses.iter())
+        .filter_map(|(f, old)| Some((*f, found.get(f)?.compose(&old.inverse()))))
+        .collect();
+    for (frame, pose) in frames.iter().zip(poses.iter_mut()) {
+        if let Some((_, by)) = moves.iter().min_by_key(|(f, _)| f.abs_diff(*frame)) {
+            *pose = by.compose(pose);
+        }
+    }
+    moves.len()
 }
 
 fn in_metres(pose: &Isometry) -> Isometry {

@@ -72,8 +72,8 @@ fn refined_poses_are_much_closer_to_the_truth_than_the_tables() {
     let dir = tempfile::tempdir().unwrap();
     let take = Take::open(testing::take_at(dir.path(), 480, 480, 240, 30.0)).unwrap();
     let track = Track { rows: (0..240).map(row).collect(), ..Track::default() };
-    let before = find(&take, &track, &options(false), &Collected::default()).unwrap();
-    let after = find(&take, &track, &options(true), &Collected::default()).unwrap();
+    let before = find(&take, &track, &options(false), None, &Collected::default()).unwrap();
+    let after = find(&take, &track, &options(true), None, &Collected::default()).unwrap();
     let (b, a) = (mean_angle(&before), mean_angle(&after));
     assert!(a < 0.25 * b && a < 0.02, "{b} {a}");
     assert!(after.head.landmark_error_px < 0.6 * before.head.landmark_error_px);
@@ -99,7 +99,9 @@ fn a_table_without_landmarks_or_poses_is_refused() {
     let without = |change: fn(&mut TrackRow)| {
         let mut rows: Vec<TrackRow> = (0..40).map(row).collect();
         rows.iter_mut().for_each(change);
-        find(&take, &Track { rows, ..Track::default() }, &options(true), &Collected::default()).unwrap_err().to_string()
+        find(&take, &Track { rows, ..Track::default() }, &options(true), None, &Collected::default())
+            .unwrap_err()
+            .to_string()
     };
     assert!(without(|r| r.landmarks = None).contains("no landmarks"));
     assert!(without(|r| r.head_pose = None).contains("no head pose"));

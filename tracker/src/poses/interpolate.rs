@@ -2,7 +2,7 @@
 //!
 //! A camera in a hand moves smoothly, so the pose at time t lies on a curve through its neighbours. In the chart of the
 //! placed pose `a` before the gap, every neighbour `i` is the twist `log(a⁻¹ · i)`; a natural cubic spline over the true
-//! timestamps goes through up to [`WINDOW`] of them on each side (C², 4th order inside), and `a · exp(spline(t))` is the
+//! timestamps goes through up to four of them on each side (C², 4th order inside), and `a · exp(spline(t))` is the
 //! pose. A camera on a constant twist has collinear twists, so it is met exactly. The twists are those of the camera's own
 //! motion, so the result does not depend on where the world's origin lies or how long its units are.
 

@@ -3,11 +3,11 @@
 use risorius_formats::FrameRecord;
 
 /// Key frames stand no farther apart than this on average, seconds, so that what lies between can be interpolated.
-const SPACING_SECS: f64 = 0.33;
+const SPACING_SECS: f64 = 0.5;
 /// Key frames of a short take.
-const FEWEST: usize = 80;
+const FEWEST: usize = 40;
 /// Key frames of a long take.
-const MOST: usize = 400;
+const MOST: usize = 80;
 
 /// How many key frames a take of this length gets by default.
 pub fn default_count(frames: &[FrameRecord]) -> usize {
@@ -61,23 +61,25 @@ pub fn choose(frames: &[FrameRecord], count: usize) -> Vec<u32> {
 
 /// Pairs of key frames (by place in the list) whose pictures are worth comparing.
 ///
-/// Every frame with its next [`OVERLAP`] and with those 16, 32, 64 … later, and every [`LOOPS`]th with every other such
+/// Every frame with its next four and with those 8, 16, 32 … later, and every fourth with every other such
 /// frame: the camera of a selfie comes back to where it was. Few key frames are compared all with all.
 pub fn pairs(count: usize) -> Vec<(usize, usize)> {
     let wanted = |i: usize, j: usize| {
         let gap = j - i;
-        count <= 40
+        count <= ALL
             || gap <= OVERLAP
-            || (gap >= 16 && gap.is_power_of_two())
+            || (gap >= 8 && gap.is_power_of_two())
             || (i.is_multiple_of(LOOPS) && j.is_multiple_of(LOOPS))
     };
     (0..count).flat_map(|i| (i + 1..count).filter(move |&j| wanted(i, j)).map(move |j| (i, j))).collect()
 }
 
 /// Neighbours that each key frame is compared with.
-const OVERLAP: usize = 6;
+const OVERLAP: usize = 4;
 /// Every so many key frames one is compared with all others of its kind.
-const LOOPS: usize = 5;
+const LOOPS: usize = 4;
+/// Up to this many key frames are compared all with all.
+const ALL: usize = 16;
 
 #[cfg(test)]
 mod tests {
@@ -124,19 +126,20 @@ mod tests {
     fn short_takes_give_all_they_have() {
         assert_eq!(choose(&frames(5, |_| 1.0), 80), [0, 1, 2, 3, 4]);
         assert!(choose(&[], 80).is_empty());
-        assert_eq!(default_count(&frames(5, |_| 1.0)), 80);
-        assert_eq!(default_count(&frames(12_001, |_| 1.0)), 365);
+        assert_eq!(default_count(&frames(5, |_| 1.0)), 40);
+        assert_eq!(default_count(&frames(2999, |_| 1.0)), 61);
+        assert_eq!(default_count(&frames(12_001, |_| 1.0)), 80);
     }
 
     #[test]
     fn pairs_hold_neighbours_and_loops_once() {
         let p = pairs(80);
-        assert!(p.contains(&(0, 1)) && p.contains(&(70, 76)) && p.contains(&(3, 67)) && p.contains(&(0, 75)));
+        assert!(p.contains(&(0, 1)) && p.contains(&(70, 74)) && p.contains(&(3, 67)) && p.contains(&(0, 76)));
         assert!(!p.contains(&(1, 12)));
         let mut sorted = p.clone();
         sorted.dedup();
         assert_eq!(sorted.len(), p.len());
         assert!(p.len() < 800, "{}", p.len());
-        assert_eq!(pairs(40).len(), 780);
+        assert_eq!(pairs(16).len(), 120);
     }
 }

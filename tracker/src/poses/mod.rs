@@ -3,21 +3,34 @@
 //! Whatever the way, the result is the same: `poses/sparse/` (a COLMAP text model at full size, images `%06d.png`) and
 //! `poses/report.json` with the head's place, near and far. Frames between placed ones are interpolated.
 
+mod adjust;
+mod auto;
 mod between;
 mod child;
 pub mod colmap;
 pub mod depths;
+mod fill;
 pub mod flags;
 pub mod focal;
+mod follow;
 pub mod head;
 pub mod interpolate;
+mod join;
 pub mod keyframes;
 pub mod mask;
 pub mod model;
+mod patch;
+mod picture;
+mod quality;
 mod refine;
+mod sharpen;
+mod sketch;
+mod skin;
 pub mod smooth;
 pub mod triangulate;
+pub mod work;
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -26,13 +39,16 @@ use glam::DVec3;
 use risorius_formats::atomic::AtomicDir;
 use risorius_formats::openface::{self, ReadOptions};
 use risorius_formats::pose_report::{PoseMethod, PoseReport};
-use risorius_formats::{FormatError, Reporter, Silent, Take, Track, TrackRow, Warning, colmap as colmap_format};
+use risorius_formats::{Reporter, Silent, Take, Track, Warning, atomic, colmap as colmap_format};
 
-use self::between::Between;
-use self::colmap::ColmapOptions;
+use self::auto::Choice;
+use self::colmap::{ColmapOptions, Keys};
 use self::depths::Head;
 use self::head::HeadOptions;
-use self::model::{PlacedFrame, TakeModel};
+use self::model::TakeModel;
+use self::picture::Picture;
+use self::sketch::Shown;
+use self::work::WORK_DIR;
 use crate::error::{Result, TrackerError};
 
 /// With the head route sampling starts this much before the body around the head and ends as much behind it.
@@ -52,6 +68,8 @@ pub enum Source {
     },
     /// A still camera; the head moves.
     Head(HeadOptions),
+    /// One of the two, as the video is.
+    Auto(ColmapOptions, HeadOptions),
 }
 
 /// How to find the cameras.
@@ -63,6 +81,12 @@ pub struct PosesOptions {
     pub min_confidence: f32,
     /// Longest gap between placed frames that is interpolated, seconds.
     pub max_gap_secs: f64,
+    /// Take cameras of low quality too.
+    pub accept_poor: bool,
+    /// The person's distance between the pupils, millimetres: the world becomes metres.
+    pub eye_distance_mm: Option<f64>,
+    /// Whether key frames are made exact by their patches and the frames between them placed by those.
+    pub follow: bool,
     /// Whether the landmarks correct the interpolated poses (not with the head route, where they made the poses).
     pub correct_by_landmarks: bool,
 }
@@ -96,17 +120,82 @@ pub fn find(take_dir: impl AsRef<Path>, options: &PosesOptions, reporter: &dyn R
         }
     };
     reporter.stage("write the poses", None);
-    let (head, hull) = match placed.head.take() {
+    let (mut head, mut hull) = match placed.head.take() {
         Some((head, hull)) => (head, Some(hull)),
         None => (depths::find_head(&placed.model, &track, options.min_confidence)?, None),
     };
     let correct = options.correct_by_landmarks && hull.is_none();
-    interpolate_between(&mut placed, &take, correct.then_some((&track, &head)), options, reporter);
-    let report = report(&placed, head, hull, &take, started)?;
+    fill::interpolate_between(&mut placed, &take, correct.then_some((&track, &head)), options, reporter);
+    let mut metric = hull.is_some();
+    if let Some(distance) = options.eye_distance_mm {
+        scale_to_metres(&mut placed, &mut head, hull.as_mut(), distance);
+        metric = true;
+    }
+    let mut report = report(&placed, head, hull, metric, &take, started)?;
+    let side = take.manifest.width.max(take.manifest.height);
+    let problems = quality::problems(&report, side, placed.focal_share);
+    report.problems = problems.iter().map(|p| p.what.clone()).collect();
+    if !problems.is_empty() {
+        if placed.method != PoseMethod::ColmapModel && !options.accept_poor {
+            keep_log(&take, folder.path());
+            return Err(TrackerError::PoorPoses {
+                problems: report.problems.join("; "),
+                advice: problems.iter().map(|p| p.advice).collect::<Vec<_>>().join("; "),
+            });
+        }
+        for problem in &report.problems {
+            reporter.warn(Warning::new("poor-poses", problem.clone()));
+        }
+    }
     colmap_format::write_text(folder.path().join("sparse"), &placed.model.to_colmap())?;
+    if let Some(svg) = picture_of(&report, &placed.model, &track, &take) {
+        atomic::write_file(folder.path().join("report.svg"), svg.as_bytes())?;
+    }
+    report.seconds = started.elapsed().as_secs_f64();
     report.write(folder.path().join("report.json"))?;
     folder.commit()?;
+    if let Some(work) = &placed.work {
+        work::remove(work)?;
+    }
     Ok(report)
+}
+
+/// Makes the distance between the middles of the eyes what it is in the person.
+fn scale_to_metres(placed: &mut Placed, head: &mut Head, hull: Option<&mut Vec<DVec3>>, eye_distance_mm: f64) {
+    let eye = |first: usize| head.landmarks[first..first + 6].iter().sum::<DVec3>() / 6.0;
+    let scale = eye_distance_mm * 1e-3 / eye(36).distance(eye(42));
+    if !(scale.is_finite() && scale > 0.0) {
+        return;
+    }
+    placed.notes.push(format!("scaled by {scale:.6} to metres: {eye_distance_mm:.1} mm between the pupils"));
+    for frame in placed.model.frames.values_mut() {
+        frame.camera_from_world.translation *= scale;
+    }
+    for point in placed.model.points.values_mut() {
+        point.position *= scale;
+    }
+    head.center *= scale;
+    head.radius *= scale;
+    for p in head.landmarks.iter_mut().chain(hull.into_iter().flatten()) {
+        *p *= scale;
+    }
+}
+
+/// The drawing for `report.svg`, with a frame in the first part of the video if it can be read.
+fn picture_of(report: &PoseReport, model: &TakeModel, track: &Track, take: &Take) -> Option<String> {
+    // An early frame with features: later ones cost the decoding of all before.
+    let shown =
+        model.frames.iter().find(|(_, f)| !f.points.is_empty()).or(model.frames.iter().next()).map(|(f, _)| *f)?;
+    let mut picture = None;
+    // The drawing is an extra: it must not fail the work.
+    let _ = risorius_video::read_frames(take.media_path(), &[shown], |_, image| -> Result<()> {
+        picture = Some(image);
+        Ok(())
+    });
+    let row = track.rows.iter().find(|r| r.frame.0 == shown && r.success);
+    let landmarks = row.and_then(|r| r.landmarks.as_deref()).map(|l| &l.points_px);
+    let shown = picture.as_ref().map(|picture| Shown { frame: shown, picture, landmarks });
+    sketch::draw(report, model, shown.as_ref())
 }
 
 /// Cameras as they come from their source.
@@ -115,9 +204,31 @@ struct Placed {
     model: TakeModel,
     frames_tried: usize,
     frames_registered: usize,
+    frames_followed: usize,
     head: Option<(Head, Vec<DVec3>)>,
     interpolated_runs: Vec<[u32; 2]>,
+    /// Deviation of the focal length over itself, where it was adjusted.
+    focal_share: Option<f64>,
+    /// Files of the run that are not needed once all is written.
+    work: Option<PathBuf>,
     notes: Vec<String>,
+}
+
+impl Placed {
+    fn new(method: PoseMethod, model: TakeModel) -> Self {
+        Self {
+            method,
+            frames_tried: model.frames.len(),
+            frames_registered: model.frames.len(),
+            frames_followed: 0,
+            model,
+            head: None,
+            interpolated_runs: Vec::new(),
+            focal_share: None,
+            work: None,
+            notes: Vec::new(),
+        }
+    }
 }
 
 fn place(take: &Take, track: &Track, options: &PosesOptions, folder: &Path, reporter: &dyn Reporter) -> Result<Placed> {
@@ -136,48 +247,77 @@ fn place(take: &Take, track: &Track, options: &PosesOptions, folder: &Path, repo
             }
             let registered = found.model.frames.len();
             Ok(Placed {
-                method: PoseMethod::ColmapModel,
                 frames_tried: registered + found.foreign_images,
-                frames_registered: registered,
-                model: found.model,
-                head: None,
-                interpolated_runs: Vec::new(),
                 notes,
+                ..Placed::new(PoseMethod::ColmapModel, found.model)
             })
         }
         Source::Colmap(colmap_options) => {
-            let work = folder.join(".work");
-            fs::create_dir(&work).map_err(|e| FormatError::io(&work, "create the folder", &e))?;
             let final_log = take.dir.join("poses").join("colmap.log");
-            let run =
-                colmap::run(take, track, colmap_options, &work, &folder.join("colmap.log"), &final_log, reporter)?;
-            if !colmap_options.keep_work {
-                fs::remove_dir_all(&work).map_err(|e| FormatError::io(&work, "remove", &e))?;
-            }
-            Ok(Placed {
-                method: PoseMethod::Colmap,
-                frames_tried: run.keyframes.len(),
-                frames_registered: run.found.model.frames.len(),
-                model: run.found.model,
-                head: None,
-                interpolated_runs: Vec::new(),
-                notes: run.notes,
-            })
+            colmap::look_for(colmap_options, &folder.join("colmap.log"), &final_log, reporter)?;
+            let keys = colmap::read_keys(take, track, colmap_options, reporter)?;
+            place_by_colmap(take, options, colmap_options, keys, folder, reporter)
+        }
+        Source::Auto(colmap_options, head_options) => {
+            let keys = colmap::read_keys(take, track, colmap_options, reporter)?;
+            let (choice, why) = auto::decide(&keys.pictures, &keys.outlines);
+            reporter.note(&why);
+            let mut placed = match choice {
+                Choice::Colmap => place_by_colmap(take, options, colmap_options, keys, folder, reporter)?,
+                Choice::Head => place_by_head(take, track, head_options, Some(&keys.pictures), reporter)?,
+            };
+            placed.notes.insert(0, why);
+            Ok(placed)
         }
         Source::Head(head_options) => {
-            let route = head::find(take, track, head_options, reporter)?;
-            let registered = route.model.frames.len();
-            Ok(Placed {
-                method: PoseMethod::Head,
-                frames_tried: take.frames.len(),
-                frames_registered: registered,
-                model: route.model,
-                head: Some((route.head, route.hull)),
-                interpolated_runs: Vec::new(),
-                notes: route.notes,
-            })
+            // A take whose video is gone, or of a few frames, still has its landmarks.
+            let keys = colmap::read_keys(take, track, &ColmapOptions::default(), reporter);
+            let pictures = match keys {
+                Err(TrackerError::Cancelled { doing }) => return Err(TrackerError::Cancelled { doing }),
+                keys => keys.ok().map(|k| k.pictures),
+            };
+            place_by_head(take, track, head_options, pictures.as_ref(), reporter)
         }
     }
+}
+
+fn place_by_colmap(
+    take: &Take,
+    options: &PosesOptions,
+    colmap_options: &ColmapOptions,
+    keys: Keys,
+    folder: &Path,
+    reporter: &dyn Reporter,
+) -> Result<Placed> {
+    let work = take.dir.join(WORK_DIR);
+    let final_log = take.dir.join("poses").join("colmap.log");
+    let run = colmap::run(take, colmap_options, keys, &work, &folder.join("colmap.log"), &final_log, reporter)?;
+    let mut placed = Placed {
+        frames_tried: run.keyframes.len(),
+        notes: run.notes,
+        work: (!colmap_options.keep_work).then_some(work),
+        ..Placed::new(PoseMethod::Colmap, run.found.model)
+    };
+    if options.follow {
+        fill::follow_frames(&mut placed, take, &run.pictures, &run.face, reporter)?;
+    }
+    Ok(placed)
+}
+
+fn place_by_head(
+    take: &Take,
+    track: &Track,
+    options: &HeadOptions,
+    pictures: Option<&BTreeMap<u32, Picture>>,
+    reporter: &dyn Reporter,
+) -> Result<Placed> {
+    let route = head::find(take, track, options, pictures, reporter)?;
+    Ok(Placed {
+        frames_tried: take.frames.len(),
+        head: Some((route.head, route.hull)),
+        notes: route.notes,
+        ..Placed::new(PoseMethod::Head, route.model)
+    })
 }
 
 /// What COLMAP said is worth keeping when it failed; older poses stay.
@@ -190,45 +330,14 @@ fn keep_log(take: &Take, staging: &Path) {
     }
 }
 
-fn interpolate_between(
-    placed: &mut Placed,
+fn report(
+    placed: &Placed,
+    head: Head,
+    hull: Option<Vec<DVec3>>,
+    metric: bool,
     take: &Take,
-    landmarks: Option<(&Track, &Head)>,
-    options: &PosesOptions,
-    reporter: &dyn Reporter,
-) {
-    let max_gap_secs = options.max_gap_secs;
-    let mut result = interpolate::interpolate(&placed.model.poses(), &take.frames, max_gap_secs);
-    if let Some((track, head)) = landmarks
-        && !result.poses.is_empty()
-    {
-        let usable = |r: &&TrackRow| r.is_valid(options.min_confidence) && r.landmarks.is_some();
-        let rows = track.rows.iter().filter(usable).map(|r| (r.frame.0, r)).collect();
-        let between =
-            Between { placed: &placed.model, frames: &take.frames, rows: &rows, face: &head.landmarks, max_gap_secs };
-        placed.notes.push(match between.correct(&mut result) {
-            Some(count) => format!("{count} interpolated poses were corrected by the landmarks"),
-            None => "too few placed frames to correct the interpolated poses by the landmarks".to_owned(),
-        });
-    }
-    for (&frame, &camera_from_world) in &result.poses {
-        // The lens of the frame before: a take has one camera, foreign models may have several.
-        let lens = placed.model.frames.range(..frame).next_back().map_or(1, |(_, f)| f.lens);
-        placed.model.frames.insert(frame, PlacedFrame { lens, camera_from_world, points: Vec::new() });
-    }
-    let left: u32 = result.gaps.iter().map(|r| r[1] - r[0] + 1).sum();
-    if left > 0 {
-        let message = format!(
-            "{left} frames lie in {} gaps longer than {max_gap_secs} s between placed frames and got no pose",
-            result.gaps.len()
-        );
-        reporter.warn(Warning::new("pose-gap", message.clone()));
-        placed.notes.push(message);
-    }
-    placed.interpolated_runs = result.runs;
-}
-
-fn report(placed: &Placed, head: Head, hull: Option<Vec<DVec3>>, take: &Take, started: Instant) -> Result<PoseReport> {
+    started: Instant,
+) -> Result<PoseReport> {
     let interpolated: u32 = placed.interpolated_runs.iter().map(|r| r[1] - r[0] + 1).sum();
     let poses = placed.model.poses();
     let behind = TrackerError::TooLittleParallax { good: 0 };
@@ -246,6 +355,7 @@ fn report(placed: &Placed, head: Head, hull: Option<Vec<DVec3>>, take: &Take, st
         frames: take.frames.len() as u32,
         frames_tried: placed.frames_tried as u32,
         frames_registered: placed.frames_registered as u32,
+        frames_followed: placed.frames_followed as u32,
         frames_interpolated: interpolated,
         registered_share: placed.frames_registered as f64 / placed.frames_tried.max(1) as f64,
         reprojection_error_px: placed.model.reprojection_error_px(),
@@ -256,13 +366,25 @@ fn report(placed: &Placed, head: Head, hull: Option<Vec<DVec3>>, take: &Take, st
         near,
         far,
         background_depth: range.background,
-        units_per_metre: hull.is_some().then_some(1.0),
+        units_per_metre: metric.then_some(1.0),
+        head_box: Some(head_box(&head)),
+        problems: Vec::new(),
         landmarks_in_world: head.landmarks,
         head_hull_in_world: hull,
         interpolated_runs: placed.interpolated_runs.clone(),
         seconds: started.elapsed().as_secs_f64(),
         notes: placed.notes.clone(),
     })
+}
+
+/// A box along the world's axes around the landmarks, with room for the head behind and above the face.
+fn head_box(head: &Head) -> [DVec3; 2] {
+    let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for p in &head.landmarks {
+        lo = lo.min(*p);
+        hi = hi.max(*p);
+    }
+    [lo - DVec3::splat(head.radius), hi + DVec3::splat(head.radius)]
 }
 
 #[cfg(test)]

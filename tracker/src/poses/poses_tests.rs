@@ -71,6 +71,9 @@ fn options(dir: PathBuf) -> PosesOptions {
         source: Source::Model { dir, first: 0 },
         min_confidence: 0.8,
         max_gap_secs: interpolate::MAX_GAP_SECS,
+        accept_poor: false,
+        eye_distance_mm: None,
+        follow: false,
         correct_by_landmarks: false,
     }
 }
