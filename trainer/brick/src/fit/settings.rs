@@ -66,7 +66,7 @@ impl Default for Settings {
             smooth: [0.2, 0.4],
             mask_weight: 0.01,
             attribute_weight: [0.1, 0.01],
-            latent_weight: 1e-4,
+            latent_weight: 1e-2,
             latent: true,
             refine_cameras: false,
             finest: [160, 160],
