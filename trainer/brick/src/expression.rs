@@ -14,8 +14,6 @@
 mod learn;
 mod smooth;
 
-use serde::{Deserialize, Serialize};
-
 pub use self::learn::Seen;
 #[cfg(test)]
 pub(crate) use self::learn::backward;
@@ -35,7 +33,7 @@ pub const HARD: f32 = 0.02;
 pub const QUIET: f32 = 1e-4;
 
 /// The residual grids of all AUs and the masks.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug)]
 pub struct Expression {
     /// The bricks of all regions together.
     pub lattice: Lattice,
@@ -46,7 +44,6 @@ pub struct Expression {
     /// Per vertex in memory: a bit per region whose hull holds it.
     pub allowed: Vec<u8>,
     /// Per region and block: its brick's vertices that the region's hull holds. All others stay 0 and are passed over.
-    #[serde(skip)]
     vertices_of: Vec<Vec<Vec<u16>>>,
     /// G_k.
     pub residuals: Vec<Table>,

@@ -7,7 +7,6 @@
 //! ```
 
 use rand::Rng;
-use serde::{Deserialize, Serialize};
 
 use crate::lattice::{BRICK, Lattice};
 use crate::table::{Table, TableGrad};
@@ -45,7 +44,7 @@ pub(crate) const LAYER: [usize; 5] = {
 };
 
 /// A field's trainable parts.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug)]
 pub struct Field {
     /// Lattices from coarse to fine.
     pub levels: Vec<Lattice>,

@@ -3,8 +3,6 @@
 //! A brick is 8³ vertices that lie together in memory: a corner's seven neighbours mostly share its brick. A sparse
 //! lattice holds the bricks it was told to; all others share brick 0, which stays zero.
 
-use serde::{Deserialize, Serialize};
-
 use crate::simd::Simd;
 
 /// Vertices along a brick's edge.
@@ -13,7 +11,7 @@ pub const EDGE: usize = 8;
 pub const BRICK: usize = EDGE * EDGE * EDGE;
 
 /// Where the vertices of a lattice lie and how they are stored.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Lattice {
     /// Vertices along x, y, z; multiples of 8.
     pub vertices: [usize; 3],

@@ -157,7 +157,12 @@ impl Occupancy {
             }
             // Whole steps, so that samples stay where they would be without the skip; a hair less than to the wall, for
             // a sample on it may belong to what is behind.
-            march.index += ((leave - t) * march.per_step - 1e-3).ceil().max(1.0).min(1e6);
+            #[allow(
+                clippy::manual_clamp,
+                reason = "a number that is none has to become a step, or the march would not end"
+            )]
+            let steps = ((leave - t) * march.per_step - 1e-3).ceil().max(1.0).min(1e6);
+            march.index += steps;
         }
     }
 

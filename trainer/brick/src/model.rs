@@ -103,7 +103,7 @@ pub struct Layout {
 }
 
 /// A field with its occupancy.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug)]
 pub struct Part {
     /// The field.
     pub field: Field,
@@ -112,7 +112,7 @@ pub struct Part {
 }
 
 /// A fitted or growing avatar.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug)]
 pub struct Brick {
     /// What it is about.
     pub layout: Layout,

@@ -2,8 +2,6 @@
 //!
 //! The box has 64³ cells of 2³ parts. Early in a fit whole cells come and go; once surfaces are thin, single parts.
 
-use serde::{Deserialize, Serialize};
-
 /// Cells along each edge.
 pub const CELLS: usize = 64;
 /// Cells in all.
@@ -18,7 +16,7 @@ const FAR: u16 = 255 << 8;
 pub const WHOLE: u8 = 0xff;
 
 /// An occupancy grid over [−1, 1]³.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug)]
 pub struct Occupancy {
     /// Largest density seen lately, per cell.
     pub density: Vec<f32>,

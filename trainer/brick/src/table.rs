@@ -4,10 +4,9 @@
 //! with the global one, the first touch of a late block would take a full-size step in a random direction.
 
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
 /// A table of trainable numbers.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default)]
 pub struct Table {
     /// The numbers.
     pub values: Vec<f32>,
