@@ -1,5 +1,6 @@
 //! `report/index.html`: one page that needs nothing but itself; no script, no address, no other file.
 
+use risorius_formats::html::escaped;
 use std::fmt::Write as _;
 
 use base64::Engine as _;
@@ -151,21 +152,6 @@ fn sized(svg: &str) -> String {
         (Some(w), Some(h)) => format!("{head} viewBox=\"0 0 {w} {h}\"{rest}"),
         _ => svg.to_owned(),
     }
-}
-
-/// Text that a page shows as it is, whatever it holds.
-fn escaped(text: &str) -> String {
-    let mut safe = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => safe.push_str("&amp;"),
-            '<' => safe.push_str("&lt;"),
-            '>' => safe.push_str("&gt;"),
-            '"' => safe.push_str("&quot;"),
-            c => safe.push(c),
-        }
-    }
-    safe
 }
 
 #[cfg(test)]

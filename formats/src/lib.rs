@@ -31,6 +31,7 @@ pub mod error;
 pub mod frame;
 pub mod hash;
 pub mod head_hull;
+pub mod html;
 pub mod intensities;
 pub mod landmarks;
 pub mod mask;

@@ -1,5 +1,6 @@
 //! The report as one page: verdicts, figures over time, and the contact sheet.
 
+use risorius_formats::html::escaped;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -61,10 +62,6 @@ pub(crate) fn word(level: Level) -> &'static str {
         Level::Fair => "fair",
         Level::Poor => "poor",
     }
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 struct Chart {

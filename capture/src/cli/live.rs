@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use clap::Args;
 use risorius_console::{Console, Failure};
-use risorius_formats::{Reporter, Warning};
+use risorius_formats::Reporter as _;
 use serde::Serialize;
 
 use super::record::{RecordArgs, Settings};
@@ -100,28 +100,7 @@ fn parse_control(text: &str) -> Result<(String, i64), String> {
     parts.filter(|(name, _)| !name.is_empty()).ok_or_else(|| "expected CONTROL=NUMBER, such as gain=40".to_owned())
 }
 
-/// Prints the meter and the prompts.
-struct Screen<'a>(&'a Console);
-
-impl Reporter for Screen<'_> {
-    fn stage(&self, name: &str, total: Option<u64>) {
-        self.0.stage(name, total);
-    }
-    fn advance(&self, steps: u64) {
-        self.0.advance(steps);
-    }
-    fn note(&self, text: &str) {
-        self.0.note(text);
-    }
-    fn warn(&self, warning: Warning) {
-        self.0.warn(warning);
-    }
-    fn cancelled(&self) -> bool {
-        self.0.cancelled()
-    }
-}
-
-impl Monitor for Screen<'_> {
+impl Monitor for Console {
     fn meter(&self, m: &Meter) {
         let mut parts = vec![format!("{:.1} frames/s", m.fps), format!("dropped {}", m.lost + m.discarded + m.corrupt)];
         parts.extend(m.sharpness.map(|s| format!("sharpness {s:.0}")));
@@ -129,13 +108,13 @@ impl Monitor for Screen<'_> {
         parts.extend(m.clipped.filter(|c| *c > 0.01).map(|c| format!("{:.0} % clipped", 100.0 * c)));
         parts.extend((m.waiting_bytes > 8 << 20).then(|| format!("{} MB wait for the disk", m.waiting_bytes >> 20)));
         parts.extend(m.free_bytes.map(|b| format!("{:.1} GB free", b as f64 / 1e9)));
-        self.0.note(&parts.join(", "));
+        self.note(&parts.join(", "));
     }
 
     fn prompt(&self, prompt: Option<&Prompt>) {
         match prompt {
-            Some(p) => self.0.say(&format!(">> {} ({:.1} s)", p.text, p.secs_left)),
-            None => self.0.say(">> done"),
+            Some(p) => self.say(&format!(">> {} ({:.1} s)", p.text, p.secs_left)),
+            None => self.say(">> done"),
         }
     }
 }
@@ -181,7 +160,7 @@ pub(super) fn run(device: &str, args: &RecordArgs, settings: Settings, console: 
         console.say(&format!("preview: {}", preview.url()));
     }
     let source = source::open(device)?;
-    let mut summary = record_live(source, &options, preview.as_ref(), &Screen(console))?;
+    let mut summary = record_live(source, &options, preview.as_ref(), console)?;
     if !live.no_measure {
         summary.manifest = measure_take(&summary.take, &Undisturbed(console))?.manifest;
     }

@@ -3,3 +3,4 @@
 
 pub mod brick;
 pub mod child;
+pub mod panels;

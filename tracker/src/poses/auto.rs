@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use risorius_formats::polygon::hull_contains;
 
 use super::mask::{GRID_PX, STRONG};
-use super::patch::Template;
+use super::patch::{SAME, Template};
 use super::picture::Picture;
 use super::triangulate::median;
 
@@ -21,8 +21,6 @@ const STILL: f64 = 0.6;
 /// Places needed in a pair of pictures, and pairs needed.
 const LEAST_PLACES: usize = 15;
 const LEAST_PAIRS: usize = 3;
-/// A patch is the same where it correlates at least this much.
-const SAME: f32 = 0.85;
 /// Head and hair reach this far from the face, in face sizes to the side and upwards …
 const HEAD_REACH: [f64; 2] = [0.35, 0.5];
 /// … and below the chin the body so far to each side.

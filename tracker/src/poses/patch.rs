@@ -16,6 +16,8 @@ use nalgebra::{Matrix6, Vector6};
 
 use super::picture::Picture;
 
+/// A patch is the same in two pictures that are far apart in time where it correlates at least this much.
+pub(crate) const SAME: f32 = 0.85;
 /// Half the side of a patch less the middle pixel.
 const RADIUS: usize = 6;
 const SIDE: usize = 2 * RADIUS + 1;

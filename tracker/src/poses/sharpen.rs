@@ -14,11 +14,9 @@ use risorius_formats::{Intrinsics, Isometry};
 
 use super::adjust::{LENS, LensPrior, Observation, Outcome, Scene};
 use super::model::TakeModel;
-use super::patch::Template;
+use super::patch::{SAME, Template};
 use super::picture::Picture;
 
-/// A patch is the same where it correlates at least this much.
-const SAME: f32 = 0.85;
 /// Points are looked for in cameras that see them from at most this far away in direction, though no match says so: radians.
 const NEAR_RAD: f64 = 0.15;
 /// Matched views are searched up to this far, radians.

@@ -31,15 +31,19 @@ pub fn heal(model: &mut Brick, expressions: &[Vec<f32>]) -> [Vec<u8>; 2] {
             blend
         })
         .collect();
+    let beside = beside_open(&model.head.occupancy);
+    let lattice = &model.expression.lattice;
+    // Only regions differ from one expression to the next.
+    let in_regions: Vec<[usize; 3]> = beside
+        .iter()
+        .copied()
+        .filter(|&p| lattice.corners(center(p)).index.iter().any(|&corner| corner >= BRICK as u32))
+        .collect();
     let mut opened: Vec<[usize; 3]> = Vec::new();
     for (i, blend) in blends.iter().enumerate() {
         let deformation = deformation(model, blend, &gates, None);
-        let lattice = &model.expression.lattice;
-        // Only regions differ from one expression to the next.
-        let wanted =
-            |p: &[usize; 3]| i == 0 || lattice.corners(center(*p)).index.iter().any(|&corner| corner >= BRICK as u32);
-        let beside: Vec<[usize; 3]> = beside_open(&model.head.occupancy).into_iter().filter(wanted).collect();
-        opened.extend(dense(&model.head, Some(&deformation), &beside, 2.0 / model.divisions as f32));
+        let parts = if i == 0 { &beside } else { &in_regions };
+        opened.extend(dense(&model.head, Some(&deformation), parts, 2.0 / model.divisions as f32));
     }
     let before = [
         model.head.occupancy.bits.clone(),

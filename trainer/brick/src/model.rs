@@ -197,6 +197,11 @@ impl Brick {
             + [&self.codes, &self.alphas, &self.log_betas, &self.motions].iter().map(|t| t.values.len()).sum::<usize>()
     }
 
+    /// The code ω of an image.
+    pub fn code(&self, image: usize) -> &[f32] {
+        &self.codes.values[image * LATENT..(image + 1) * LATENT]
+    }
+
     /// The displacement of a code ω, 4 numbers per vertex.
     pub fn latent_blend(&self, code: &[f32], out: &mut Vec<f32>) {
         out.clear();

@@ -7,7 +7,7 @@ use crate::evaluate::Deformation;
 use crate::expression::{CHANNELS, MASKS};
 use crate::lattice::BRICK;
 use crate::march::March;
-use crate::model::{Brick, LATENT, activation, deformation};
+use crate::model::{Brick, activation, deformation};
 use crate::rays::{Look, Rays};
 use crate::sixteen::POINTS;
 use crate::skips::Skips;
@@ -50,7 +50,7 @@ impl<'a> Face<'a> {
     /// The expression of attributes, −1..1.
     pub fn new(model: &'a Brick, attributes: &[f32]) -> Self {
         let gates = model.expression.gates();
-        let code = &model.codes.values[model.neutral_image * LATENT..(model.neutral_image + 1) * LATENT];
+        let code = model.code(model.neutral_image);
         let activations: Vec<f32> = attributes.iter().map(|&a| activation(a)).chain(code.iter().copied()).collect();
         let mut latent = Vec::new();
         model.latent_blend(code, &mut latent);

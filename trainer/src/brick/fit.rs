@@ -5,7 +5,6 @@ use std::time::Instant;
 
 use glam::Vec3;
 use risorius_brick::heal::{heal, unheal};
-use risorius_brick::model::LATENT;
 use risorius_brick::{Brick, Fitter, Progress, Settings, StepNumbers};
 use risorius_formats::Reporter;
 use risorius_formats::atomic::AtomicDir;
@@ -256,7 +255,7 @@ fn save(
 /// Activations of the neutral face and of each AU at its most, with the code of the neutral face.
 fn expressions(model: &Brick) -> Vec<Vec<f32>> {
     let count = model.layout.region_of.len();
-    let code = &model.codes.values[model.neutral_image * LATENT..(model.neutral_image + 1) * LATENT];
+    let code = model.code(model.neutral_image);
     let face = |most: Option<usize>| {
         let aus = (0..count).map(|k| f32::from(u8::from(Some(k) == most)));
         aus.chain(code.iter().copied()).collect()

@@ -1,5 +1,6 @@
 //! The report of an evaluation as one page of HTML without outside parts, and its table as CSV.
 
+use risorius_formats::html::escaped;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -91,10 +92,6 @@ pub fn csv(evaluation: &Evaluation) -> String {
 
 fn quoted(text: &str) -> String {
     if text.contains([',', '"', '\n']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 /// A number of a table, and what it means.

@@ -135,7 +135,7 @@ fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     }
     atomic::write_file(cli.work.join("poses_bench.csv"), csv(&rows).as_bytes())?;
     let plot = cli.work.join("poses_bench.svg");
-    plot::write(&plot, &rows).map_err(|message| FormatError::syntax(message).in_file(&plot))?;
+    plot::write(&plot, &rows)?;
     console.finish(&rows, &in_words(&rows));
     Ok(())
 }

@@ -3,34 +3,22 @@
 use std::path::Path;
 
 use plotters::prelude::*;
+use risorius_bench::panels::{self, Area, Drawn};
+use risorius_formats::FormatError;
 
 use super::Row;
 
-const SIZE: (u32, u32) = (960, 420);
-
 /// Writes two panels: CPU time against mean rotation error and against mean position error; both axes logarithmic.
-pub(crate) fn write(path: &Path, rows: &[Row]) -> Result<(), String> {
+pub(crate) fn write(path: &Path, rows: &[Row]) -> Result<(), FormatError> {
     type Value = fn(&Row) -> f64;
-    let mut svg = String::new();
-    {
-        let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
-        root.fill(&WHITE).map_err(|e| e.to_string())?;
-        let (left, right) = root.split_horizontally(SIZE.0 / 2);
-        let panels: [(_, &str, Value); 2] = [
-            (left, "mean rotation error, degrees", |r| r.rotation_mean_deg),
-            (right, "mean position error, % of the path's radius", |r| r.position_mean_percent),
-        ];
-        for (area, title, value) in panels {
-            panel(&area, title, rows, value).map_err(|e| e.to_string())?;
-        }
-        root.present().map_err(|e| e.to_string())?;
-    }
-    risorius_formats::atomic::write_file(path, svg.as_bytes()).map_err(|e| e.to_string())
+    let sides: [(&str, Value); 2] = [
+        ("mean rotation error, degrees", |r| r.rotation_mean_deg),
+        ("mean position error, % of the path's radius", |r| r.position_mean_percent),
+    ];
+    panels::write(path, sides, |area, (title, value)| panel(area, title, rows, value))
 }
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
-
-fn panel(area: &Area, title: &str, rows: &[Row], value: fn(&Row) -> f64) -> Result<(), Box<dyn std::error::Error>> {
+fn panel(area: &Area<'_>, title: &str, rows: &[Row], value: fn(&Row) -> f64) -> Drawn {
     let usable: Vec<&Row> =
         rows.iter().filter(|r| value(r).is_finite() && value(r) > 0.0 && r.cpu_secs > 0.0).collect();
     let span = |values: Vec<f64>| {

@@ -3,6 +3,7 @@
 use glam::{DMat3, DQuat};
 use risorius_formats::au::OPENFACE_INTENSITIES;
 use risorius_formats::{Track, TrackRow};
+use risorius_trainer::eval::icc::icc;
 use serde::Serialize;
 
 /// What is true of every frame.
@@ -105,18 +106,10 @@ fn landmarks(rows: &[(usize, &TrackRow)], truth: &Truth) -> (f64, f64) {
     (100.0 * as_is / f64::max(count, 1.0), 100.0 * without / f64::max(count, 1.0))
 }
 
-/// ICC(3,1): two fixed raters, single ratings, consistency: (MSR − MSE) / (MSR + MSE).
+/// ICC(3,1): two fixed raters, single ratings, consistency; 0 where nothing varies.
 fn icc31(pairs: &[(f64, f64)]) -> f64 {
-    let n = pairs.len() as f64;
-    if pairs.len() < 2 {
-        return 0.0;
-    }
-    let mean = pairs.iter().fold([0.0; 2], |m, p| [m[0] + p.0 / n, m[1] + p.1 / n]);
-    let grand = 0.5 * (mean[0] + mean[1]);
-    let rows = pairs.iter().map(|p| 2.0 * (0.5 * (p.0 + p.1) - grand).powi(2)).sum::<f64>() / (n - 1.0);
-    // What is left of a pair's difference once the raters' means are taken out.
-    let residual = pairs.iter().map(|p| 0.5 * ((p.0 - mean[0]) - (p.1 - mean[1])).powi(2)).sum::<f64>() / (n - 1.0);
-    if rows + residual > 0.0 { (rows - residual) / (rows + residual) } else { 0.0 }
+    let ratings: Vec<Vec<f64>> = pairs.iter().map(|p| vec![p.0, p.1]).collect();
+    icc(&ratings).map_or(0.0, |i| i.icc_3_1)
 }
 
 fn f1(pairs: &[(bool, bool)]) -> f64 {

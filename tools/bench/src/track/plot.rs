@@ -3,38 +3,24 @@
 use std::path::Path;
 
 use plotters::prelude::*;
+use risorius_bench::panels::{self, Area, Drawn};
+use risorius_formats::FormatError;
 
 use super::Row;
-
-const SIZE: (u32, u32) = (960, 420);
 
 /// Writes two panels: wall time per frame of the video against landmark error and against AU agreement.
 ///
 /// Colours are folders of models, sizes are numbers of threads.
-pub(crate) fn write(path: &Path, rows: &[Row]) -> Result<(), String> {
+pub(crate) fn write(path: &Path, rows: &[Row]) -> Result<(), FormatError> {
     type Value = fn(&Row) -> f64;
-    let mut svg = String::new();
-    {
-        let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
-        root.fill(&WHITE).map_err(|e| e.to_string())?;
-        let (left, right) = root.split_horizontally(SIZE.0 / 2);
-        let panels: [(_, &str, Value); 2] = [
-            (left, "inner-51 error without offset, % of the outer-eye distance", |r| {
-                r.errors.landmarks_without_offset_percent
-            }),
-            (right, "AU intensity, mean ICC(3,1)", |r| r.errors.icc31_mean),
-        ];
-        for (area, title, value) in panels {
-            panel(&area, title, rows, value).map_err(|e| e.to_string())?;
-        }
-        root.present().map_err(|e| e.to_string())?;
-    }
-    risorius_formats::atomic::write_file(path, svg.as_bytes()).map_err(|e| e.to_string())
+    let sides: [(&str, Value); 2] = [
+        ("inner-51 error without offset, % of the outer-eye distance", |r| r.errors.landmarks_without_offset_percent),
+        ("AU intensity, mean ICC(3,1)", |r| r.errors.icc31_mean),
+    ];
+    panels::write(path, sides, |area, (title, value)| panel(area, title, rows, value))
 }
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
-
-fn panel(area: &Area, title: &str, rows: &[Row], value: fn(&Row) -> f64) -> Result<(), Box<dyn std::error::Error>> {
+fn panel(area: &Area<'_>, title: &str, rows: &[Row], value: fn(&Row) -> f64) -> Drawn {
     let ms = |r: &Row| 1000.0 / r.fps;
     let span = |values: Vec<f64>| {
         let (low, high) = values.iter().fold((f64::MAX, f64::MIN), |m, v| (m.0.min(*v), m.1.max(*v)));

@@ -21,6 +21,9 @@ pub struct Seen<'a> {
 /// One residual in one brick.
 struct Block<'a> {
     k: usize,
+    region: usize,
+    /// The brick's vertices that the region allows.
+    vertices: &'a [u16],
     values: &'a mut [f32],
     first: &'a mut [f32],
     second: &'a mut [f32],
@@ -36,11 +39,12 @@ impl Expression {
         let count = residuals.len();
         let mut blocks: Vec<Vec<Block<'_>>> = (0..lattice.slots).map(|_| Vec::new()).collect();
         for (k, table) in residuals.iter_mut().enumerate() {
-            let (size, slots) = (table.block, &slots_of[region_of[k]]);
+            let (size, region) = (table.block, region_of[k]);
+            let places = slots_of[region].iter().zip(&vertices_of[region]);
             let moments = table.first.chunks_exact_mut(size).zip(table.second.chunks_exact_mut(size));
             let rows = table.values.chunks_exact_mut(size).zip(moments).zip(&mut table.steps);
-            for (&slot, ((values, (first, second)), steps)) in slots.iter().zip(rows) {
-                blocks[slot as usize].push(Block { k, values, first, second, steps });
+            for ((&slot, vertices), ((values, (first, second)), steps)) in places.zip(rows) {
+                blocks[slot as usize].push(Block { k, region, vertices, values, first, second, steps });
             }
         }
         let parts: Vec<Vec<f32>> = blocks
@@ -60,20 +64,18 @@ impl Expression {
                 let gates = &gates[slot * BRICK * MASKS..(slot + 1) * BRICK * MASKS];
                 let mut d_activations = vec![0.0; images.len() * count];
                 for block in blocks {
-                    let (k, region) = (block.k, region_of[block.k]);
+                    let k = block.k;
                     let acting: Vec<Acting<'_>> = told
                         .iter()
                         .map(|&(i, d_blend)| Acting { image: i, a: images[i].activations[k], d_blend })
                         .filter(|acting| acting.a.abs() >= QUIET)
                         .collect();
-                    let Ok(at) = slots_of[region].binary_search(&(slot as u32)) else { continue };
                     if acting.is_empty() {
                         continue;
                     }
                     *block.steps += 1;
                     let update = Update::new(adam, *block.steps);
-                    let vertices = &vertices_of[region][at];
-                    let sums = simd::run(LearnBrick { acting: &acting, region, vertices, gates, block, update });
+                    let sums = simd::run(LearnBrick { acting: &acting, gates, block, update });
                     for (acting, sum) in acting.iter().zip(sums) {
                         d_activations[acting.image * count + k] = sum;
                     }
@@ -100,8 +102,6 @@ struct Acting<'a> {
 
 struct LearnBrick<'a> {
     acting: &'a [Acting<'a>],
-    region: usize,
-    vertices: &'a [u16],
     gates: &'a [f32],
     block: Block<'a>,
     update: Update,
@@ -113,8 +113,8 @@ impl Task for LearnBrick<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self) -> Vec<f32> {
-        let Self { acting, region, vertices, gates, block, update } = self;
-        let Block { values, first, second, .. } = block;
+        let Self { acting, gates, block, update } = self;
+        let Block { region, vertices, values, first, second, .. } = block;
         let size = BRICK * CHANNELS;
         assert!(gates.len() >= BRICK * MASKS && values.len() >= size, "a brick");
         assert!(first.len() >= size && second.len() >= size, "a block");

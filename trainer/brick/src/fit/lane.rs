@@ -7,7 +7,7 @@ use crate::evaluate::DeformationGrad;
 use crate::expression::{CHANNELS, MASKS};
 use crate::field::{FieldGrad, Transposed};
 use crate::lattice::BRICK;
-use crate::model::{Brick, LATENT, deformation};
+use crate::model::{Brick, deformation};
 use crate::occupancy::PART_COUNT;
 use crate::rays::{Look, Prior, Rays};
 use crate::table::TableGrad;
@@ -72,15 +72,15 @@ impl Image {
         self.view = view;
         self.annotated = views.attributes(view).is_some();
         self.activations = activations(model, views, view, work.learns_codes());
-        let slots = model.expression.lattice.slots;
-        for values in [&mut self.blend, &mut self.d_blend] {
-            values.clear();
-            values.resize(slots * BRICK * CHANNELS, 0.0);
-        }
+        let numbers = model.expression.lattice.slots * BRICK * CHANNELS;
+        // Written whole, brick by brick.
+        self.blend.resize(numbers, 0.0);
+        self.d_blend.clear();
+        self.d_blend.resize(numbers, 0.0);
         self.d_latent.clear();
         self.d_latent.resize(model.latent_lattice.slots * BRICK * 4, 0.0);
         if work.learns_codes() {
-            model.latent_blend(&model.codes.values[view * LATENT..(view + 1) * LATENT], &mut self.latent);
+            model.latent_blend(model.code(view), &mut self.latent);
         }
         self.d_motion = [0.0; 6];
     }

@@ -19,7 +19,7 @@ use self::own::{Holds, Own};
 pub use self::settings::Settings;
 use crate::expression::Seen;
 use crate::field::LAYERS;
-use crate::model::{Brick, LATENT, activation};
+use crate::model::{Brick, activation};
 use crate::occupancy::PART_COUNT;
 use crate::rays::Look;
 use crate::table::{Adam, Table, TableGrad};
@@ -326,7 +326,7 @@ pub(crate) fn activations(model: &Brick, views: &impl Views, view: usize, latent
         Some(a) => a.iter().zip(deltas).map(|(&a, &d)| activation(a + d)).collect(),
         None => vec![0.0; k],
     };
-    out.extend(model.codes.values[view * LATENT..(view + 1) * LATENT].iter().map(|&c| if latent { c } else { 0.0 }));
+    out.extend(model.code(view).iter().map(|&c| if latent { c } else { 0.0 }));
     out
 }
 

@@ -79,7 +79,7 @@ impl Own {
     /// ω of the images and the displacements they mix.
     fn codes(&mut self, model: &Brick, images: &[&Image], d_activations: &[Vec<f32>], weight: f32) {
         let k = model.layout.region_of.len();
-        let code = |image: &Image, j: usize| model.codes.values[image.view * LATENT + j];
+        let code = |image: &Image, j: usize| model.code(image.view)[j];
         let d_codes: Vec<Vec<f32>> = self
             .latent_bases
             .par_iter_mut()
