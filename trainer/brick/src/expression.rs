@@ -4,7 +4,7 @@
 //! with activations a sees the sum
 //!
 //! ```text
-//! B(v) = Σ_n m_n(v) Σ_{k in region n} a_k G_k(v)
+//! B(v) = Σ_n r(m_n(v)) Σ_{k in region n} a_k G_k(v),   r(m) = max(0, (m − REACH) / (1 − REACH))
 //! ```
 //!
 //! which is made once per image (the numbers of the latent code ω act like AUs of a region that is the whole lattice:
@@ -29,8 +29,17 @@ pub const MASKS: usize = 4;
 pub const REST: usize = MASKS - 1;
 /// Masks below this are 0.
 pub const HARD: f32 = 0.02;
+/// What part of its region an AU acts in: not where a mask is below this, so that pictures of masks that round to nothing
+/// hide no more than a trace of it.
+pub const REACH: f32 = 0.1;
 /// Activations below this are taken as 0.
 pub const QUIET: f32 = 1e-4;
+
+/// How much of a residual acts where its region's mask is `mask`: from 0 at [`REACH`] to 1 at 1.
+#[inline(always)]
+pub fn reach(mask: f32) -> f32 {
+    ((mask - REACH) / (1.0 - REACH)).max(0.0)
+}
 
 /// The residual grids of all AUs and the masks.
 #[derive(Clone, Debug)]
@@ -184,7 +193,7 @@ impl Task for BlendBrick<'_> {
                     let (a, g) = (S::q_splat(a), residual.as_ptr().add(at));
                     sum = [S::q_fma(a, S::q_load(g), sum[0]), S::q_fma(a, S::q_load(g.add(4)), sum[1])];
                 }
-                let gate = S::q_splat(*gates.get_unchecked(usize::from(vertex) * MASKS + region));
+                let gate = S::q_splat(reach(*gates.get_unchecked(usize::from(vertex) * MASKS + region)));
                 let out = out.as_mut_ptr().add(at);
                 S::q_store(out, S::q_fma(gate, sum[0], S::q_load(out)));
                 S::q_store(out.add(4), S::q_fma(gate, sum[1], S::q_load(out.add(4))));
@@ -207,7 +216,7 @@ mod tests {
         full.residuals[0].steps.fill(1);
         full.blend(&gates, &[1.0], &mut blend);
         for (vertex, row) in blend.as_chunks::<CHANNELS>().0.iter().enumerate() {
-            let expected = if e.allowed[vertex] & 1 == 1 { 0.5 } else { 0.0 };
+            let expected = if e.allowed[vertex] & 1 == 1 { reach(0.5) } else { 0.0 };
             assert!(row.iter().all(|&v| v == expected), "vertex {vertex}: {row:?}");
         }
     }

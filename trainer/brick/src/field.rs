@@ -9,6 +9,7 @@
 use rand::Rng;
 
 use crate::lattice::{BRICK, Lattice};
+use crate::pages::PageGrad;
 use crate::table::{Table, TableGrad};
 
 /// Vertices of a level that are updated together: a layer of a brick. Whole bricks would move eight times as many numbers,
@@ -60,7 +61,7 @@ pub struct Field {
 #[derive(Clone, Debug, Default)]
 pub struct FieldGrad {
     /// Per level.
-    pub features: Vec<TableGrad>,
+    pub features: Vec<PageGrad>,
     /// The network's.
     pub net: TableGrad,
 }
@@ -132,10 +133,11 @@ impl Field {
 pub struct Transposed(pub(crate) [Vec<f32>; 4]);
 
 impl FieldGrad {
-    /// Makes room for `field`.
+    /// Makes room for `field`, and forgets what was gathered for features.
     pub fn fit(&mut self, field: &Field) {
-        self.features.resize_with(field.features.len(), TableGrad::default);
+        self.features.resize_with(field.features.len(), PageGrad::default);
         for (g, t) in self.features.iter_mut().zip(&field.features) {
+            g.clear();
             g.fit(t);
         }
         self.net.fit(&field.net);

@@ -29,6 +29,7 @@ pub mod math;
 mod matmul;
 pub mod model;
 pub mod occupancy;
+mod pages;
 mod rays;
 pub mod reference;
 pub mod render;

@@ -228,8 +228,8 @@ fn gradients_are_those_of_the_twin() {
         cases.extend(strongest(values).into_iter().take(count).map(|i| (which, i, values[i])));
     };
     for l in 0..3 {
-        add(Which::HeadLevel(l), &head.features[l].values, 3);
-        add(Which::BackgroundLevel(l), &background.features[l].values, 3);
+        add(Which::HeadLevel(l), &head.features[l].dense(), 3);
+        add(Which::BackgroundLevel(l), &background.features[l].dense(), 3);
     }
     add(Which::HeadNet, &head.net.values, 12);
     add(Which::BackgroundNet, &background.net.values, 12);

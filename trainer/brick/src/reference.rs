@@ -4,7 +4,7 @@
 //! of the model. Nothing is skipped here but what the definition skips: samples in empty cells and behind the point
 //! where a ray counts as opaque.
 
-use crate::expression::{CHANNELS, HARD, MASKS, REST};
+use crate::expression::{CHANNELS, HARD, MASKS, REACH, REST};
 use crate::field::{COLOR_INPUT, EXPRESSION_AT, FEATURES, Field, HIDDEN, INPUT, LAYER, MIDDLE, ONE_AT, OUTPUT};
 use crate::lattice::{BRICK, EDGE, Lattice};
 use crate::math::{DENSITY_CLAMP, DENSITY_SHIFT};
@@ -131,7 +131,8 @@ impl Twin<'_> {
         let mut sum = [0.0; CHANNELS];
         for (k, &n) in e.region_of.iter().enumerate() {
             let Some(block) = e.slots_of[n].iter().position(|&s| s as usize == slot) else { continue };
-            let weight = self.activation(k) * self.gate(vertex, n);
+            let weight =
+                self.activation(k) * ((self.gate(vertex, n) - f64::from(REACH)) / f64::from(1.0 - REACH)).max(0.0);
             for (c, sum) in sum.iter_mut().enumerate() {
                 let i = (block * BRICK + inside) * CHANNELS + c;
                 *sum += weight * self.nudged(Which::Residual(k), i, f64::from(e.residuals[k].values[i]));

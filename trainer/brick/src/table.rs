@@ -132,13 +132,8 @@ impl Share<'_> {
             }
             touched[block] = false;
             self.steps[block] += 1;
-            crate::simd::run(UpdateTask {
-                update: Update::new(adam, self.steps[block]),
-                values: &mut self.values[range.clone()],
-                first: &mut self.first[range.clone()],
-                second: &mut self.second[range.clone()],
-                grads: &mut sum[range],
-            });
+            let (first, second) = (&mut self.first[range.clone()], &mut self.second[range.clone()]);
+            Update::new(adam, self.steps[block]).all(&mut sum[range.clone()], first, second, &mut self.values[range]);
         }
     }
 }
@@ -172,6 +167,11 @@ impl Update {
         *m = adam.beta1 * *m + (1.0 - adam.beta1) * g;
         *v = adam.beta2 * *v + (1.0 - adam.beta2) * g * g;
         *value -= rate * (*m * self.correct1) / ((*v * self.correct2).sqrt() + adam.epsilon);
+    }
+
+    /// Updates numbers of one block, and clears their gradients.
+    pub(crate) fn all(self, grads: &mut [f32], first: &mut [f32], second: &mut [f32], values: &mut [f32]) {
+        crate::simd::run(UpdateTask { update: self, values, first, second, grads });
     }
 
     /// Updates 8 numbers, each with its own rate.

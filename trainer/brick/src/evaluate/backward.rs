@@ -4,14 +4,12 @@
 use super::{Deformation, DeformationGrad, Samples, room, split};
 use crate::expression::{CHANNELS, MASKS};
 use crate::field::{
-    COLOR_INPUT, EXPRESSION_AT, FEATURES, Field, FieldGrad, HIDDEN, INPUT, LAYER, LAYER_VERTICES, MIDDLE, OUTPUT,
-    Transposed,
+    COLOR_INPUT, EXPRESSION_AT, FEATURES, Field, FieldGrad, HIDDEN, INPUT, LAYER, MIDDLE, OUTPUT, Transposed,
 };
 use crate::lattice;
 use crate::matmul;
 use crate::simd::{Simd, Task};
 use crate::sixteen::{POINTS, Sixteen};
-use crate::table::TableGrad;
 
 /// Samples whose gradients sum to less than this are left out of the way back.
 const QUIET: f32 = 1e-5;
@@ -102,16 +100,13 @@ impl Task for Backward<'_, '_> {
                 let level = &field.levels[l];
                 level.sixteen::<S>(&warped, &mut corners);
                 let steps = level.steps_per_unit();
-                let TableGrad { values, touched } = &mut grad.features[l];
                 for k in 0..count {
                     let (c, w) = (corners.corners(k), corners.weights(k));
-                    // SAFETY: the gradients have the shape of their table.
+                    let (values, places) = grad.features[l].at(&c);
+                    // SAFETY: pages hold the places that they give.
                     unsafe {
                         let dv = S::q_load(b.d_x1.as_ptr().add((first + k) * 32 + l * FEATURES));
-                        lattice::scatter::<S>(values, FEATURES, 0, &c, &w, dv);
-                        for &i in &c.index {
-                            *touched.get_unchecked_mut(i as usize / LAYER_VERTICES) = true;
-                        }
+                        lattice::scatter::<S>(values, FEATURES, 0, &places, &w, dv);
                         if wants_motion[k] {
                             let e = lattice::dots::<S>(&field.features[l].values, FEATURES, 0, &c, dv);
                             let slope = c.slope(&e);

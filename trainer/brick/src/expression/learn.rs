@@ -4,7 +4,7 @@
 
 use rayon::prelude::*;
 
-use super::{CHANNELS, Expression, MASKS, QUIET};
+use super::{CHANNELS, Expression, MASKS, QUIET, reach};
 use crate::lattice::BRICK;
 use crate::simd::{self, Simd, Task};
 use crate::table::{Adam, Update};
@@ -125,7 +125,7 @@ impl Task for LearnBrick<'_> {
             let mut grad = [0.0f32; CHANNELS];
             // SAFETY: vertices are below BRICK.
             unsafe {
-                let gate = *gates.get_unchecked(usize::from(vertex) * MASKS + region);
+                let gate = reach(*gates.get_unchecked(usize::from(vertex) * MASKS + region));
                 let value = values.as_ptr().add(at);
                 let value = [S::q_load(value), S::q_load(value.add(4))];
                 let mut g = [S::q_splat(0.0); 2];
@@ -160,7 +160,7 @@ pub(crate) fn backward(
         let region = expression.region_of[k];
         for (block, &slot) in expression.slots_of[region].iter().enumerate() {
             for i in 0..BRICK {
-                let gate = gates[(slot as usize * BRICK + i) * MASKS + region];
+                let gate = reach(gates[(slot as usize * BRICK + i) * MASKS + region]);
                 for c in 0..CHANNELS {
                     let d = image.d_blend[(slot as usize * BRICK + i) * CHANNELS + c];
                     let at = (block * BRICK + i) * CHANNELS + c;

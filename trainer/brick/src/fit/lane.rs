@@ -9,6 +9,7 @@ use crate::field::{FieldGrad, Transposed};
 use crate::lattice::BRICK;
 use crate::model::{Brick, deformation};
 use crate::occupancy::PART_COUNT;
+use crate::pages::PageGrad;
 use crate::rays::{Look, Prior, Rays};
 use crate::table::TableGrad;
 
@@ -189,7 +190,7 @@ impl Lane {
     /// Marks every brick of the grids as touched, so that all are updated.
     fn touch_all(&mut self) {
         let grids = self.head.features.iter_mut().chain(&mut self.background.features);
-        grids.for_each(|g| g.touched.fill(true));
+        grids.for_each(PageGrad::touch_all);
     }
 
     /// Passes the masks' gradients from the vertices' masks on to their logits.

@@ -3,7 +3,6 @@
 //! Images are dealt to a fixed number of lanes, each with gradients of its own, merged in the order of the lanes: the
 //! result depends on the seed and the number of lanes only.
 
-mod columns;
 mod lane;
 mod own;
 mod settings;
@@ -13,7 +12,6 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use self::columns::Columns;
 use self::lane::{CHUNK, Image, Lane, Totals, Work};
 use self::own::{Holds, Own};
 pub use self::settings::Settings;
@@ -21,6 +19,7 @@ use crate::expression::Seen;
 use crate::field::LAYERS;
 use crate::model::{Brick, activation};
 use crate::occupancy::PART_COUNT;
+use crate::pages::{self, PageGrad};
 use crate::rays::Look;
 use crate::table::{Adam, Table, TableGrad};
 
@@ -243,19 +242,26 @@ impl Fitter {
         let image = Adam { epsilon: 1e-8, ..Adam::new(s.image_rate * rate) };
         let motion = Adam { epsilon: 1e-8, ..Adam::new(s.image_rate * rate * 0.2) };
         let mut jobs: Vec<(&mut Table, Vec<&mut TableGrad>, Adam, usize)> = Vec::new();
-        let mut columns = Columns::new(lanes);
-        let Brick { head, background, expression, latent_bases, codes, alphas, log_betas, motions, .. } = model;
-        for (l, (table, level)) in head.field.features.iter_mut().zip(&head.field.levels).enumerate() {
-            jobs.push((table, columns.take(|c| &mut c.head[l]), grid, LAYERS * usize::from(level.sparse)));
-        }
-        jobs.push((&mut head.field.net, columns.take(|c| &mut c.head_net), net, 0));
-        if let Some(part) = background {
-            for (l, (table, level)) in part.field.features.iter_mut().zip(&part.field.levels).enumerate() {
-                jobs.push((table, columns.take(|c| &mut c.background[l]), grid, LAYERS * usize::from(level.sparse)));
+        let mut levels: Vec<(&mut Table, Vec<&PageGrad>, usize)> = Vec::new();
+        // The same gradient of every lane: merged in the order of the lanes.
+        let (mut features, mut nets, mut masks) = ([Vec::new(), Vec::new()], [Vec::new(), Vec::new()], Vec::new());
+        for lane in lanes {
+            for (part, grad) in [&mut lane.head, &mut lane.background].into_iter().enumerate() {
+                features[part].push(&grad.features);
+                nets[part].push(&mut grad.net);
             }
-            jobs.push((&mut part.field.net, columns.take(|c| &mut c.background_net), net, 0));
+            masks.push(&mut lane.masks);
         }
-        jobs.push((&mut expression.masks, columns.take(|c| &mut c.masks), Adam::new(0.05 * rate), 1));
+        let Brick { head, background, expression, latent_bases, codes, alphas, log_betas, motions, .. } = model;
+        let parts = [Some(head), background.as_mut()].into_iter().flatten();
+        for (part, (features, nets)) in parts.zip(features.into_iter().zip(nets)) {
+            for (l, (table, level)) in part.field.features.iter_mut().zip(&part.field.levels).enumerate() {
+                let grads = features.iter().map(|lane| &lane[l]).collect();
+                levels.push((table, grads, LAYERS * usize::from(level.sparse)));
+            }
+            jobs.push((&mut part.field.net, nets, net, 0));
+        }
+        jobs.push((&mut expression.masks, masks, Adam::new(0.05 * rate), 1));
         if moves {
             for (table, grad) in latent_bases.iter_mut().zip(&mut own.latent_bases) {
                 jobs.push((table, vec![grad], Adam::new(warp), 0));
@@ -266,7 +272,10 @@ impl Fitter {
         }
         jobs.push((alphas, vec![&mut own.alphas], image, 0));
         jobs.push((log_betas, vec![&mut own.log_betas], image, 0));
-        jobs.into_par_iter().for_each(|(table, mut grads, adam, from)| table.step(&mut grads, &adam, from));
+        rayon::join(
+            || levels.into_par_iter().for_each(|(table, grads, from)| pages::step(table, &grads, &grid, from)),
+            || jobs.into_par_iter().for_each(|(table, mut grads, adam, from)| table.step(&mut grads, &adam, from)),
+        );
         let [share, warp_share] = self.settings.smooth;
         if self.progress.step.is_multiple_of(16) && share.max(warp_share) > 0.0 {
             // Less and less: towards the end the pixels decide.
