@@ -28,6 +28,7 @@ mod sketch;
 mod skin;
 pub mod smooth;
 pub mod triangulate;
+mod variety;
 pub mod work;
 
 use std::collections::BTreeMap;
