@@ -227,8 +227,18 @@ struct Viewer {
 
 impl Viewer {
     fn start(run_dir: &Path) -> Self {
+        Self::with(run_dir, &[], Stdio::null())
+    }
+
+    /// Driven by the rows that [`Self::tell`] gives it.
+    fn with_rows(run_dir: &Path) -> Self {
+        Self::with(run_dir, &["--live", "-"], Stdio::piped())
+    }
+
+    fn with(run_dir: &Path, more: &[&str], stdin: Stdio) -> Self {
         let mut child = Command::new(binary("trainer"))
-            .args(["view", text(run_dir)])
+            .args([&["view", text(run_dir)], more].concat())
+            .stdin(stdin)
             .stderr(Stdio::piped())
             .stdout(Stdio::null())
             .spawn()
@@ -242,6 +252,14 @@ impl Viewer {
 
     fn port(&self) -> u16 {
         self.url.split(':').nth(2).unwrap().split('/').next().unwrap().parse().unwrap()
+    }
+
+    fn tell(&mut self, rows: &str) {
+        self.child.stdin.as_mut().unwrap().write_all(rows.as_bytes()).unwrap();
+    }
+
+    fn stop_telling(&mut self) {
+        self.child.stdin = None;
     }
 
     fn token(&self) -> &str {
@@ -350,4 +368,49 @@ fn the_page_works_in_a_browser_with_mouse_and_keys() {
     assert!(output.status.success(), "{said}");
     let result = json(&String::from_utf8_lossy(&output.stdout));
     assert!(result["checks"].as_u64().unwrap() > 25, "{result}");
+}
+
+#[test]
+fn rows_that_come_drive_the_avatar_while_it_is_looked_at() {
+    let run_dir = made().at("run");
+    let mut viewer = Viewer::with_rows(&run_dir);
+    let frame = format!("/{}/frame", viewer.token());
+    let ask = |viewer: &Viewer, body: &str| {
+        let (status, head, picture) = viewer.ask("POST", &frame, &[], body.as_bytes());
+        assert_eq!(status, 200, "{head}");
+        let live = head.lines().find_map(|l| l.strip_prefix("X-Live: ")).map(json);
+        (live, picture)
+    };
+    let (live, rest) = ask(&viewer, r#"{"scale":0.5}"#);
+    assert!(live.is_none(), "a page that does not follow hears nothing");
+    let (live, waiting) = ask(&viewer, r#"{"scale":0.5,"live":true}"#);
+    assert_eq!((live.unwrap()["status"]["rows"].as_u64(), waiting == rest), (Some(0), true));
+    let until = |viewer: &Viewer, rows: u64| loop {
+        let (live, picture) = ask(viewer, r#"{"scale":0.5,"live":true,"live_head":true}"#);
+        let live = live.unwrap();
+        if live["status"]["rows"].as_u64() == Some(rows) {
+            return (live, picture);
+        }
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    };
+    viewer.tell("secs,AU12,AU26\n0,0,0\n");
+    assert!(until(&viewer, 1).1 == rest);
+    viewer.tell("5,4,3\n");
+    let (live, smile) = until(&viewer, 2);
+    assert_eq!((live["aus"]["AU12"].as_f64(), live["aus"]["AU26"].as_f64()), (Some(4.0), Some(3.0)));
+    assert!(smile != rest);
+    let (_, asked) = ask(&viewer, r#"{"scale":0.5,"aus":{"AU12":4,"AU26":3}}"#);
+    assert!(asked == smile, "the same as asked for by sliders");
+    // A row that cannot be read is told, in ASCII, and the face stays.
+    viewer.tell("6,…,3\n");
+    let problem = loop {
+        let (live, picture) = ask(&viewer, r#"{"scale":0.5,"live":true}"#);
+        assert!(picture == smile);
+        if let Some(problem) = live.unwrap()["status"]["problem"].as_str() {
+            break problem.to_owned();
+        }
+    };
+    assert!(problem.contains('…'), "{problem}");
+    viewer.stop_telling();
+    while ask(&viewer, r#"{"scale":0.5,"live":true}"#).0.unwrap()["status"]["ended"] != Value::Bool(true) {}
 }

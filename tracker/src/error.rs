@@ -198,6 +198,14 @@ pub enum TrackerError {
         /// What is wrong with it.
         problem: String,
     },
+    /// A camera does not do what it should.
+    #[error("camera {number} {what}")]
+    Camera {
+        /// Its number.
+        number: i32,
+        /// What is wrong.
+        what: String,
+    },
     /// The machine gives no threads.
     #[error("cannot start the threads: {message}")]
     Threads {
@@ -267,6 +275,7 @@ impl Hint for TrackerError {
             Self::Inference { .. } | Self::NetworkOutput { .. } => {
                 "`models.toml` has to describe the network beside it; `tools/models` fetches networks that fit".into()
             }
+            Self::Camera { .. } => "`capture devices` lists cameras; another program may use this one".into(),
             Self::NothingInCommon { .. } => {
                 "frames are matched by the digits of image names; see `--reference-first`".into()
             }

@@ -2,6 +2,7 @@
 
 mod check;
 mod import;
+mod live;
 mod poses;
 mod run;
 
@@ -33,6 +34,7 @@ impl Common for Cli {
 enum Command {
     Run(run::RunArgs),
     Import(import::ImportArgs),
+    Live(live::LiveArgs),
     Poses(poses::PosesArgs),
     Check(check::CheckArgs),
 }
@@ -42,6 +44,7 @@ pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     match &cli.command {
         Command::Run(args) => run::run(args, console),
         Command::Import(args) => import::run(args, console),
+        Command::Live(args) => live::run(args, console),
         Command::Poses(args) => poses::run(args, console),
         Command::Check(args) => check::run(args, console),
     }

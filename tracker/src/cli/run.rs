@@ -48,10 +48,19 @@ pub(super) struct RunArgs {
 
 #[derive(Clone, Copy, Debug, ValueEnum, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-enum FaceArg {
+pub(super) enum FaceArg {
     Largest,
     /// The one that the detector is surest of
     First,
+}
+
+impl FaceArg {
+    pub(super) fn first(self) -> FirstFace {
+        match self {
+            Self::Largest => FirstFace::Largest,
+            Self::First => FirstFace::First,
+        }
+    }
 }
 
 /// Keys of `risorius.toml`, table `tracker-run`.
@@ -78,10 +87,7 @@ pub(super) fn run(args: &RunArgs, console: &Console) -> Result<(), Failure> {
     if every == 0 || threads == 0 {
         return Err(Failure::usage("`every` and `threads` have to be at least 1"));
     }
-    let face = match args.face.or(settings.face).unwrap_or(FaceArg::Largest) {
-        FaceArg::Largest => FirstFace::Largest,
-        FaceArg::First => FirstFace::First,
-    };
+    let face = args.face.or(settings.face).unwrap_or(FaceArg::Largest).first();
     let online = args.online || settings.online.unwrap_or(false);
     let options = RunOptions {
         models: args.models.clone().or(settings.models),

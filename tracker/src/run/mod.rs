@@ -9,6 +9,7 @@ pub mod detect;
 pub mod follow;
 pub mod frames;
 pub mod landmarks;
+pub mod live;
 pub mod mesh;
 pub mod observations;
 pub mod rows;
@@ -99,10 +100,7 @@ const SHAPE_SAMPLE: usize = 150;
 pub fn run(take_dir: impl AsRef<Path>, options: &RunOptions, reporter: &dyn Reporter) -> Result<RunSummary> {
     let started = Instant::now();
     let take = Take::open(take_dir)?;
-    let default_dir = crate::models::default_dir();
-    let models = ModelFolder::open(options.models.as_ref().unwrap_or(&default_dir))?;
-    let runtime = Runtime::load(&library_places(&[&models.dir, &default_dir]))?;
-    let mut follower = Follower::new(&runtime, &models, options.threads, options.face)?;
+    let (models, mut follower) = open_networks(options.models.as_deref(), options.threads, options.face)?;
     let every = options.every.max(1);
     let folder = AtomicDir::create(take.dir.join("track"))?;
 
@@ -135,7 +133,9 @@ pub fn run(take_dir: impl AsRef<Path>, options: &RunOptions, reporter: &dyn Repo
         None if person.is_some() => Weights::get().name.clone(),
         None => "none: no mesh".to_owned(),
     };
-    let writer = rows::Writer { take: &take, lens, shape: &shape, person, au_model: network, every };
+    let shape_error_px = shape.error * lens.focal_px;
+    let maker = rows::RowMaker { lens, shape, person, au_model: network, before: None };
+    let writer = rows::Writer { take: &take, maker, every };
     let written = writer.write(&recording, folder.path(), reporter)?;
     let tracked = recording.len();
     recording.remove()?;
@@ -147,7 +147,7 @@ pub fn run(take_dir: impl AsRef<Path>, options: &RunOptions, reporter: &dyn Repo
         every,
         effort: follower.effort(),
         focal_px: lens.focal_px,
-        shape_error_px: shape.error * lens.focal_px,
+        shape_error_px,
         landmark_model: models
             .manifest
             .landmarks
@@ -165,6 +165,15 @@ pub fn run(take_dir: impl AsRef<Path>, options: &RunOptions, reporter: &dyn Repo
     std::fs::write(&path, text + "\n").map_err(|e| FormatError::io(&path, "write", &e))?;
     folder.commit()?;
     Ok(summary)
+}
+
+/// Loads the networks of a folder, or those that `tools/models` fetched.
+fn open_networks(models: Option<&Path>, threads: usize, face: FirstFace) -> Result<(ModelFolder, Follower)> {
+    let default_dir = crate::models::default_dir();
+    let models = ModelFolder::open(models.unwrap_or(&default_dir))?;
+    let runtime = Runtime::load(&library_places(&[&models.dir, &default_dir]))?;
+    let follower = Follower::new(&runtime, &models, threads, face)?;
+    Ok((models, follower))
 }
 
 /// Follows the face through the video and keeps what was seen at `path`.

@@ -7,9 +7,7 @@ use std::path::Path;
 use glam::{DVec2, DVec3};
 use risorius_formats::au::OPENFACE_INTENSITIES;
 use risorius_formats::track::HeadPose;
-use risorius_formats::{
-    FormatError, FrameIndex, FrameRecord, Isometry, Landmarks68, Reporter, Take, Track, TrackRow, openface,
-};
+use risorius_formats::{FormatError, FrameIndex, Isometry, Landmarks68, Reporter, Take, Track, TrackRow, openface};
 
 use super::observations::{Observation, Recording};
 use crate::aus::Person;
@@ -24,16 +22,24 @@ use crate::quality::{QualityMeter, TrackQuality};
 pub struct Writer<'a> {
     /// The take.
     pub take: &'a Take,
+    /// What is known of camera and person.
+    pub maker: RowMaker,
+    /// Every how many frames the networks ran.
+    pub every: u32,
+}
+
+/// Makes rows of what was seen.
+pub struct RowMaker {
     /// The camera.
     pub lens: Lens,
     /// The person's resting shape.
-    pub shape: &'a PersonShape,
+    pub shape: PersonShape,
     /// The person's resting scores, where there are scores.
     pub person: Option<Person>,
     /// The AU network whose intensities were seen, in their place.
     pub au_model: Option<AuModel>,
-    /// Every how many frames the networks ran.
-    pub every: u32,
+    /// The pose of the row before.
+    pub before: Option<Isometry>,
 }
 
 /// What was written.
@@ -54,12 +60,11 @@ impl Writer<'_> {
         let mut meter = QualityMeter::new(&units, self.take.frames.len());
         let mut interpolated = 0;
         let mut batch: Vec<(TrackRow, bool)> = Vec::new();
-        let mut pose = None;
         let take = self.take;
         let mut between = Interpolator::new(recording.read()?, self.every, take.frames.len());
         for record in &take.frames {
             let (observation, is_between) = between.next_frame()?;
-            let row = self.row(record, observation.as_ref(), &mut pose);
+            let row = self.maker.row(record.index, record.timestamp_nanos as f64 * 1e-9, observation.as_ref());
             interpolated += usize::from(is_between && row.success);
             batch.push((row, is_between));
             let done = record.index.0 as usize + 1;
@@ -81,13 +86,16 @@ impl Writer<'_> {
         table.finish()?;
         Ok(Written { interpolated, quality: meter.finish() })
     }
+}
 
-    fn row(&mut self, record: &FrameRecord, seen: Option<&Observation>, before: &mut Option<Isometry>) -> TrackRow {
+impl RowMaker {
+    /// The row of the frame after that of the call before.
+    pub fn row(&mut self, frame: FrameIndex, timestamp_secs: f64, seen: Option<&Observation>) -> TrackRow {
         let count = OPENFACE_INTENSITIES.len();
         let mut row = TrackRow {
-            frame: FrameIndex(record.index.0),
+            frame,
             face_id: 0,
-            timestamp_secs: Some(record.timestamp_nanos as f64 * 1e-9),
+            timestamp_secs: Some(timestamp_secs),
             confidence: 0.0,
             success: false,
             intensities: vec![None; count],
@@ -97,7 +105,7 @@ impl Writer<'_> {
             head_pose: None,
         };
         let Some(seen) = seen else {
-            *before = None;
+            self.before = None;
             return row;
         };
         row.success = true;
@@ -116,11 +124,11 @@ impl Writer<'_> {
         }
         let normalised: Vec<DVec2> = seen.points_px.iter().map(|p| self.lens.normalised(*p)).collect();
         // Warm from the frame before, and cold where that led nowhere.
-        let found = shape::pose(&self.shape.points, &normalised, before.as_ref())
+        let found = shape::pose(&self.shape.points, &normalised, self.before.as_ref())
             .filter(|(_, error)| *error < 3.0 * self.shape.error + 1e-3)
             .or_else(|| shape::pose(&self.shape.points, &normalised, None));
-        *before = found.map(|f| f.0);
-        if let Some(pose) = *before {
+        self.before = found.map(|f| f.0);
+        if let Some(pose) = self.before {
             row.head_pose = Some(HeadPose::from_isometry(&pose));
             row.landmarks_in_camera_mm = Some(Box::new(std::array::from_fn(|i| {
                 // On the ray of the point that was seen, as deep as the shape has it.
@@ -138,13 +146,32 @@ impl Writer<'_> {
 struct CsvWriter {
     path: std::path::PathBuf,
     file: BufWriter<File>,
+    pieces: Pieces,
+}
+
+/// Pieces of one OpenFace table: the first has the header.
+#[derive(Default)]
+pub struct Pieces {
     has_header: bool,
+}
+
+impl Pieces {
+    /// Some rows as lines.
+    pub fn lines(&mut self, piece: &Track) -> Result<Vec<u8>> {
+        let mut bytes = openface::to_bytes(piece)?;
+        if self.has_header {
+            let start = bytes.iter().position(|b| *b == b'\n').map_or(0, |at| at + 1);
+            bytes.drain(..start);
+        }
+        self.has_header = true;
+        Ok(bytes)
+    }
 }
 
 impl CsvWriter {
     fn create(path: &Path) -> Result<Self> {
         let file = File::create(path).map_err(|e| FormatError::io(path, "create", &e))?;
-        Ok(Self { path: path.to_owned(), file: BufWriter::with_capacity(1 << 18, file), has_header: false })
+        Ok(Self { path: path.to_owned(), file: BufWriter::with_capacity(1 << 18, file), pieces: Pieces::default() })
     }
 
     /// Appends rows. Pieces are small: the encoder makes one text of all rows it gets.
@@ -152,10 +179,8 @@ impl CsvWriter {
         for rows in track.rows.chunks(256) {
             let piece =
                 Track { units: track.units.clone(), presence_units: track.presence_units.clone(), rows: rows.to_vec() };
-            let bytes = openface::to_bytes(&piece)?;
-            let start = if self.has_header { bytes.iter().position(|b| *b == b'\n').map_or(0, |at| at + 1) } else { 0 };
-            self.has_header = true;
-            self.file.write_all(&bytes[start..]).map_err(|e| FormatError::io(&self.path, "write", &e))?;
+            let lines = self.pieces.lines(&piece)?;
+            self.file.write_all(&lines).map_err(|e| FormatError::io(&self.path, "write", &e))?;
         }
         Ok(())
     }

@@ -139,6 +139,9 @@ impl safetensors::View for Array<'_> {
 
     fn data(&self) -> Cow<'_, [u8]> {
         match self {
+            // The file is little-endian: there, what lies in memory is what goes to the disk, without a copy.
+            Self::Floats(values, _) if cfg!(target_endian = "little") => Cow::Borrowed(bytemuck::cast_slice(values)),
+            Self::Counts(values, _) if cfg!(target_endian = "little") => Cow::Borrowed(bytemuck::cast_slice(values)),
             Self::Floats(values, _) => values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>().into(),
             Self::Counts(values, _) => values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>().into(),
             Self::Bytes(values, _) => Cow::Borrowed(values),

@@ -30,6 +30,16 @@ pub fn spread(reference: &Camera, cameras: &[Camera], center: DVec3) -> [f64; 2]
     })
 }
 
+/// `camera` with the head turned before it: the whole scene turns about the head's middle, in the camera's axes.
+pub fn turned(camera: &Camera, center_in_world: DVec3, turn: DMat3) -> Camera {
+    if turn == DMat3::IDENTITY {
+        return *camera;
+    }
+    let middle = camera.camera_from_world.transform_point(center_in_world);
+    let about = Isometry::new(turn, middle - turn * middle);
+    Camera { intrinsics: camera.intrinsics, camera_from_world: about.compose(&camera.camera_from_world) }
+}
+
 /// `reference` swung around `center` by yaw and pitch, looking at the same spot of its image.
 pub fn swing(reference: &Camera, center: DVec3, yaw_rad: f64, pitch_rad: f64) -> Camera {
     // The world turns the other way round: X' = Q (X − c) + c seen by the unmoved camera.

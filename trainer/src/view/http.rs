@@ -9,10 +9,12 @@ use risorius_formats::{Curves, Reporter, atomic};
 use serde::Serialize;
 use tiny_http::{Header, Method, Request, Response};
 
+use super::live::Live;
 use super::scene::{FrameRequest, Scene};
 use super::shown_name;
 use crate::avatar::Avatar;
 use crate::error::Result;
+use crate::jobs::transfer::Range;
 use crate::path::CameraPath;
 use crate::presets::PRESETS;
 
@@ -39,6 +41,7 @@ pub(super) struct Site<'a> {
     run: PathBuf,
     scene: Scene<'a>,
     curves: Option<CurvesDocument>,
+    live: Option<(Live, Range)>,
     pictures: u64,
 }
 
@@ -54,6 +57,8 @@ struct Info<'a> {
     /// Half angles that the training cameras cover, degrees.
     seen_deg: [f64; 2],
     curves: Option<&'a CurvesDocument>,
+    /// Whether rows come while the page is open.
+    live: bool,
 }
 
 #[derive(Serialize)]
@@ -99,8 +104,9 @@ impl<'a> Site<'a> {
         token: String,
         port: u16,
         curves: Option<CurvesDocument>,
+        live: Option<(Live, Range)>,
     ) -> Self {
-        Self { token, port, avatar, run: run.to_owned(), scene: Scene::new(avatar), curves, pictures: 0 }
+        Self { token, port, avatar, run: run.to_owned(), scene: Scene::new(avatar), curves, live, pictures: 0 }
     }
 
     pub(super) fn pictures(&self) -> u64 {
@@ -186,6 +192,7 @@ impl<'a> Site<'a> {
             // `orbit_rad` is three quarters of what is covered.
             seen_deg: saved.orbit_rad.map(|a| (a / 0.75).to_degrees()),
             curves: self.curves.as_ref(),
+            live: self.live.is_some(),
         }
     }
 
@@ -194,21 +201,27 @@ impl<'a> Site<'a> {
             Ok(body) => body,
             Err(answer) => return answer,
         };
-        let wanted: FrameRequest = match serde_json::from_slice(&body) {
+        let mut wanted: FrameRequest = match serde_json::from_slice(&body) {
             Ok(wanted) => wanted,
             Err(e) => return text(400, &format!("the request is not understood: {e}")),
         };
+        let driven = self.live.as_ref().filter(|_| wanted.live).map(|(live, range)| {
+            let now = live.now();
+            self.scene.drive(&mut wanted, &now, *range);
+            serde_json::json!({ "aus": &wanted.aus, "status": now.status })
+        });
         let started = Instant::now();
         let picture = match self.scene.frame(&wanted, reporter) {
             Ok(picture) => picture,
             Err(e) => return text(500, &e.to_string()),
         };
         self.pictures += 1;
-        let more = vec![
+        let mut more = vec![
             ("X-Width", picture.width().to_string()),
             ("X-Height", picture.height().to_string()),
             ("X-Millis", format!("{:.1}", started.elapsed().as_secs_f64() * 1e3)),
         ];
+        more.extend(driven.map(|driven| ("X-Live", ascii(&driven.to_string()))));
         if !wanted.jpeg {
             return (200, "application/octet-stream", picture.into_raw(), more);
         }
@@ -269,6 +282,19 @@ fn json(value: &impl Serialize) -> Answer {
         Ok(bytes) => (200, "application/json", bytes, Vec::new()),
         Err(e) => text(500, &e.to_string()),
     }
+}
+
+/// JSON for a header: what is not ASCII is escaped.
+fn ascii(json: &str) -> String {
+    let mut units = [0u16; 2];
+    json.chars().fold(String::new(), |mut out, c| {
+        if c.is_ascii() {
+            out.push(c);
+        } else {
+            out.extend(c.encode_utf16(&mut units).iter().map(|u| format!("\\u{u:04x}")));
+        }
+        out
+    })
 }
 
 fn text(status: u16, message: &str) -> Answer {

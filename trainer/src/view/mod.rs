@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! browser ── POST /TOKEN/frame {angles, AUs, size, overlay} ──▶ http ──▶ scene (one Studio per use) ──▶ raw RGB
+//!                                             rows ──▶ live ──▶ AUs in their place, where the page follows a face
 //! ```
 //!
 //! The browser asks for one picture at a time, so what is on the screen is never older than one picture, and a slow
@@ -10,6 +11,7 @@
 //! another page (`Origin`) are refused.
 
 mod http;
+mod live;
 mod overlay;
 mod scene;
 
@@ -21,6 +23,8 @@ use risorius_formats::Reporter;
 
 use crate::avatar::Avatar;
 use crate::error::{Result, TrainerError};
+use crate::jobs::transfer::Range;
+pub use live::Live;
 pub(crate) use overlay::ramp;
 pub use scene::{FrameRequest, Overlay, Scene};
 
@@ -36,6 +40,10 @@ pub struct ViewSettings {
     pub port: u16,
     /// A table of AU curves that the page offers to play.
     pub curves: Option<PathBuf>,
+    /// Rows that come while the page is open: `-` for standard input, or a file such as a named pipe.
+    pub live: Option<PathBuf>,
+    /// Whose range turns the rows' intensities into attributes.
+    pub live_range: Range,
 }
 
 /// A server that is bound and not yet serving.
@@ -54,7 +62,9 @@ impl<'a> Viewer<'a> {
         })?;
         let port = server.server_addr().to_ip().map_or(settings.port, |a| a.port());
         let curves = settings.curves.as_deref().map(|path| http::curves_of(path, reporter)).transpose()?;
-        let site = http::Site::new(avatar, &settings.run, token()?, port, curves);
+        let live = settings.live.as_deref().map(Live::follow).transpose()?;
+        let live = live.map(|live| (live, settings.live_range));
+        let site = http::Site::new(avatar, &settings.run, token()?, port, curves, live);
         Ok(Self { server, site })
     }
 

@@ -2,13 +2,16 @@
 
 use std::collections::BTreeMap;
 
+use glam::DMat3;
 use risorius_formats::{ActionUnit, Camera, Intrinsics, Reporter};
 use serde::{Deserialize, Serialize};
 
+use super::live::Now;
 use super::overlay;
 use crate::avatar::{Avatar, Render};
 use crate::error::Result;
-use crate::path::Orbit;
+use crate::jobs::transfer::Range;
+use crate::path::{Orbit, turned};
 use crate::studio::{Look, Studio};
 
 /// What is laid over the picture.
@@ -41,8 +44,17 @@ pub struct FrameRequest {
     pub slot: usize,
     /// Whether to answer with JPEG instead of raw RGB: smaller, for slow lines.
     pub jpeg: bool,
+    /// Whether the live face's AUs take the place of these.
+    pub live: bool,
+    /// Whether its head's turns are followed as well, against where it was when this began.
+    pub live_head: bool,
+    /// How the head is turned before the camera.
+    #[serde(skip)]
+    turn: Option<DMat3>,
 }
 
+/// An expression below this is not yet the driver's strongest, intensity.
+const LEAST_STRONG: f32 = 1.5;
 /// Studios that a page may use: after, before, and one for each while things move.
 const SLOTS: usize = 4;
 
@@ -51,13 +63,15 @@ pub struct Scene<'a> {
     avatar: &'a Avatar,
     studios: Vec<Studio<'a>>,
     size: (u32, u32),
+    /// Where the live head was when its turns began to be followed.
+    ahead: Option<DMat3>,
 }
 
 impl<'a> Scene<'a> {
     /// A scene of `avatar`.
     pub fn new(avatar: &'a Avatar) -> Self {
         let size = (avatar.saved.default_camera.width, avatar.saved.default_camera.height);
-        Self { avatar, studios: (0..SLOTS).map(|_| Studio::new(avatar, Look::default())).collect(), size }
+        Self { avatar, studios: (0..SLOTS).map(|_| Studio::new(avatar, Look::default())).collect(), size, ahead: None }
     }
 
     /// Size of the fitted images, pixels.
@@ -65,12 +79,31 @@ impl<'a> Scene<'a> {
         self.size
     }
 
+    /// Puts what the live face does into a request.
+    pub fn drive(&mut self, request: &mut FrameRequest, now: &Now, range: Range) {
+        request.aus.clone_from(&now.aus);
+        if range == Range::Driver {
+            for spec in &self.avatar.saved.table.attributes {
+                let strongest = now.strongest.get(&spec.unit).copied().unwrap_or(0.0).max(LEAST_STRONG);
+                request.aus.entry(spec.unit).and_modify(|v| *v *= spec.au_max / strongest);
+            }
+        }
+        self.ahead = match (request.live_head, self.ahead, now.turn) {
+            (false, ..) => None,
+            (true, None, turn) => turn,
+            (true, ahead, _) => ahead,
+        };
+        request.turn = self.ahead.zip(now.turn).map(|(ahead, turn)| turn * ahead.transpose());
+    }
+
     /// Renders a picture and what is laid over it.
     pub fn frame(&mut self, request: &FrameRequest, reporter: &dyn Reporter) -> Result<image::RgbImage> {
         let scale = if request.scale.is_finite() { request.scale.clamp(0.1, 2.0) } else { 1.0 };
         let reference = Camera::from(&self.avatar.saved.default_camera);
         let orbit = request.orbit.bounded();
-        let camera = scaled(&orbit.camera(&reference, self.avatar.saved.center_in_world), scale);
+        let center = self.avatar.saved.center_in_world;
+        let turn = request.turn.unwrap_or(DMat3::IDENTITY);
+        let camera = scaled(&turned(&orbit.camera(&reference, center), center, turn), scale);
         let known = request.aus.iter().filter(|(_, v)| v.is_finite()).map(|(u, v)| (*u, v.clamp(0.0, 5.0))).collect();
         let (attributes, _) = self.avatar.attributes_from_intensities(&known);
         let studio = &mut self.studios[request.slot.min(SLOTS - 1)];

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use image::RgbImage;
 use image::imageops::{self, FilterType};
 use risorius_formats::views::ViewList;
-use risorius_formats::{ActionUnit, Camera, ErrorKind, FormatError, Isometry, Reporter, Warning};
+use risorius_formats::{ActionUnit, Camera, ErrorKind, FormatError, Reporter, Warning};
 use risorius_video::Writer;
 use serde::{Deserialize, Serialize};
 
@@ -19,6 +19,7 @@ use super::render::{Sink, warn_unknown, write_png};
 use crate::avatar::Avatar;
 use crate::error::{Result, TrainerError};
 use crate::eval::{self, Evaluation, ViewScore};
+use crate::path::turned;
 use crate::studio::{Look, Studio};
 
 /// Whose range turns the driver's intensities into attributes.
@@ -292,16 +293,6 @@ fn slots(driver: &Driver, fps: f64) -> Vec<Slot> {
     chosen
 }
 
-/// `camera` with the head turned before it: the whole scene turns about the head's middle, in the camera's axes.
-fn turned(camera: &Camera, center_in_world: glam::DVec3, turn: glam::DMat3) -> Camera {
-    if turn == glam::DMat3::IDENTITY {
-        return *camera;
-    }
-    let middle = camera.camera_from_world.transform_point(center_in_world);
-    let about = Isometry::new(turn, middle - turn * middle);
-    Camera { intrinsics: camera.intrinsics, camera_from_world: about.compose(&camera.camera_from_world) }
-}
-
 /// The driver's picture for every slot, at the height of the result.
 fn driver_pictures(path: &Path, slots: &[Slot], height: u32) -> Result<Vec<RgbImage>> {
     let mut frames: Vec<u32> = slots.iter().filter_map(|s| s.driver_frame).collect();
@@ -367,7 +358,10 @@ mod tests {
     fn a_turned_head_stays_in_the_middle() {
         let camera = Camera {
             intrinsics: risorius_formats::Intrinsics::pinhole(64, 64, 80.0),
-            camera_from_world: Isometry::new(glam::DMat3::from_rotation_y(0.3), glam::DVec3::new(0.1, -0.2, 2.0)),
+            camera_from_world: risorius_formats::Isometry::new(
+                glam::DMat3::from_rotation_y(0.3),
+                glam::DVec3::new(0.1, -0.2, 2.0),
+            ),
         };
         let center = glam::DVec3::new(0.05, 0.1, 0.0);
         let turn = glam::DMat3::from_rotation_y(0.2);

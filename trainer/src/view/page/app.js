@@ -7,13 +7,14 @@ import { make, makeLegend, makePresets, makeSliders, presetAus } from "./panel.j
 const $ = (id) => document.getElementById(id);
 for (const event of ["pointerdown", "keydown"]) addEventListener(event, () => { if ($("trouble").dataset.lasting) { delete $("trouble").dataset.lasting; $("trouble").hidden = true; } }, true);
 const HOME = { yaw_deg: 0, pitch_deg: 0, zoom: 1, shift_x: 0, shift_y: 0 };
-const state = { orbit: { ...HOME }, aus: {}, before: {}, overlay: "none", compare: false, divider: 0.5, jpeg: false };
+const state = { orbit: { ...HOME }, aus: {}, before: {}, overlay: "none", compare: false, divider: 0.5, jpeg: false, live: false, liveHead: false };
 const clamp = (v, low, high) => Math.min(high, Math.max(low, v));
 
 const info = await (await fetch("info.json")).json();
 document.title = `${info.name} · Risorius`;
 $("name").textContent = info.name;
 
+let heard = 0;
 const show = {
   meter(fps, { millis, width, height }) {
     $("fps").textContent = fps >= 10 ? fps.toFixed(0) : fps.toFixed(1);
@@ -29,19 +30,32 @@ const show = {
     if (lasting) $("trouble").dataset.lasting = "yes"; else delete $("trouble").dataset.lasting;
   },
   say(text) { $("status").textContent = text; },
+  // What the live face did in the picture that came, and how it goes.
+  live(driven) {
+    if (!driven || !state.live) return;
+    const { aus, status } = driven;
+    state.aus = aus;
+    for (const [unit, slider] of sliders) slider.show(aus[unit] ?? 0);
+    $("live-status").textContent = status.ended ? "ended" : status.problem ?? (!status.rows ? "waits for rows" : status.face ? `${status.rows} rows` : "no face");
+    if (status.ended) return follow(false);
+    const next = () => picture.change(state.liveHead ? "turn" : "edit");
+    // Without a new row there is nothing new to see.
+    if (status.rows === heard) setTimeout(next, 60); else next();
+    heard = status.rows;
+  },
 };
 const picture = new Picture($("picture"), info, state, show);
 // For tests and for scripts in the console.
 window.risorius = { state, picture, info };
 
 // Expressions
-const sliders = makeSliders($("aus"), info, (unit, value) => { player.stop(); state.aus = { ...state.aus, [unit]: value }; picture.change("edit"); });
+const sliders = makeSliders($("aus"), info, (unit, value) => { player.stop(); follow(false); state.aus = { ...state.aus, [unit]: value }; picture.change("edit"); });
 function wear(aus, how) {
   state.aus = { ...aus };
   for (const [unit, slider] of sliders) slider.show(aus[unit] ?? 0);
   picture.change(how);
 }
-const choose = (preset) => { player.stop(); wear(presetAus(preset)); show.say(preset.name); };
+const choose = (preset) => { player.stop(); follow(false); wear(presetAus(preset)); show.say(preset.name); };
 makePresets($("presets"), info.presets, choose);
 makeLegend($("legend"), info.regions);
 
@@ -120,6 +134,7 @@ const player = new Player((what, at) => {
 });
 function play(what) {
   if (player.playing === what) return player.stop();
+  follow(false);
   if (player.playing !== what && what === "path") player.at = 0;
   player.start(what, what === "path" ? keys[keys.length - 1].secs : lengthOf(curves[$("curve").value]));
   const button = what === "path" ? $("play-path") : $("play");
@@ -127,7 +142,7 @@ function play(what) {
 }
 $("play").addEventListener("click", () => play("curve"));
 $("curve").addEventListener("change", () => { player.at = 0; $("seek").value = 0; });
-$("seek").addEventListener("input", () => { player.stop(); const c = curves[$("curve").value]; player.at = ($("seek").value / 1000) * lengthOf(c); wear(expressionAt(c, player.at), "edit"); });
+$("seek").addEventListener("input", () => { player.stop(); follow(false); const c = curves[$("curve").value]; player.at = ($("seek").value / 1000) * lengthOf(c); wear(expressionAt(c, player.at), "edit"); });
 $("curve-file").addEventListener("change", async () => {
   const file = $("curve-file").files[0];
   if (!file) return;
@@ -137,6 +152,21 @@ $("curve-file").addEventListener("change", async () => {
   show.say(`${file.name} opened`);
 });
 if (info.curves) offer(info.curves);
+
+// A live face
+function follow(on) {
+  if (!info.live || on === state.live) return;
+  if (on) player.stop();
+  state.live = on;
+  $("live").setAttribute("aria-pressed", String(on));
+  $("live").textContent = on ? "stop following" : "follow live face";
+  picture.change(on ? "edit" : undefined);
+  show.say(on ? "follows the live face" : "no longer follows");
+}
+function followHead(on) { state.liveHead = $("live-head").checked = on; picture.change("turn"); show.say(on ? "follows its head" : "holds the head"); }
+$("live-row").hidden = !info.live;
+$("live").addEventListener("click", () => follow(!state.live));
+$("live-head").addEventListener("change", () => followHead($("live-head").checked));
 
 // Paths
 function keep() {
@@ -184,7 +214,7 @@ addEventListener("keydown", (e) => {
   const actions = {
     "+": () => turn({ zoom: state.orbit.zoom * 1.1 }), "=": () => turn({ zoom: state.orbit.zoom * 1.1 }), "-": () => turn({ zoom: state.orbit.zoom / 1.1 }),
     0: () => turn(HOME), n: () => choose(info.presets[0]), m: () => overlay(state.overlay === "masks" ? "none" : "masks"), d: () => overlay(state.overlay === "depth" ? "none" : "depth"),
-    b: () => compare(!state.compare), k: keep, v: () => stage.focus(), "?": () => help($("help").hidden), "[": () => hop(-1), "]": () => hop(1),
+    b: () => compare(!state.compare), k: keep, v: () => stage.focus(), l: () => follow(!state.live), h: () => info.live && followHead(!state.liveHead), "?": () => help($("help").hidden), "[": () => hop(-1), "]": () => hop(1),
   };
   for (let i = 1; i < info.presets.length; i += 1) actions[i] = () => choose(info.presets[i]);
   if (e.key === " " && !e.target.matches("button, input[type=checkbox], input[type=radio], select")) { e.preventDefault(); return play("curve"); }
@@ -192,3 +222,4 @@ addEventListener("keydown", (e) => {
   if (action) { e.preventDefault(); action(); }
 });
 stage.focus();
+follow(true);

@@ -71,13 +71,17 @@ export class Picture {
 
   async side(name, slot, aus, scale) {
     const request = { orbit: this.state.orbit, aus, scale: Math.round(scale * 32) / 32, overlay: this.state.overlay, slot, jpeg: this.state.jpeg };
+    // The live face's AUs are those of the moment: such a picture is never one that is kept.
+    const live = name === "after" && this.state.live;
+    if (live) Object.assign(request, { live: true, live_head: this.state.liveHead });
     const signature = JSON.stringify(request);
-    if (this.kept[name]?.signature === signature) return this.kept[name];
+    if (!live && this.kept[name]?.signature === signature) return this.kept[name];
     const answer = await fetch("frame", { method: "POST", body: signature });
     if (!answer.ok) throw new Error(await answer.text());
     const [width, height, millis] = ["X-Width", "X-Height", "X-Millis"].map((n) => Number(answer.headers.get(n)));
     const image = request.jpeg ? await createImageBitmap(await answer.blob()) : fromRgb(new Uint8Array(await answer.arrayBuffer()), width, height);
     this.pictures += 1;
+    if (live) this.show.live(JSON.parse(answer.headers.get("X-Live") ?? "null"));
     return (this.kept[name] = { signature, image, width, height, millis });
   }
 
