@@ -86,7 +86,7 @@ impl Lock {
                     if let Some(owner) = died {
                         let message = format!("{}: takes over from {}, which died", result.display(), owner.in_words());
                         reporter.warn(Warning::new("stale-lock", message));
-                        leftovers::clear(&real);
+                        leftovers::clear(&real, owner.pid);
                     }
                     let beat = file.try_clone().ok().and_then(|file| heartbeat(file, stage.to_owned()));
                     return Ok(Some(Self { path, file, beat, made }));
@@ -291,11 +291,13 @@ mod tests {
         fs::create_dir(dir.path().join(".track.4000000.old")).unwrap();
         fs::write(dir.path().join(".track.4000000.old/kept"), "x").unwrap();
         fs::write(dir.path().join(".tracks.4000000.part"), "another's").unwrap();
+        fs::write(dir.path().join(".track.4000000.old/.model.4000000.part"), "half").unwrap();
+        fs::write(dir.path().join(".track.4000000.old/.model.4.part"), "another's").unwrap();
         let heard = Collected::default();
         let lock = Lock::take(&result, "tracker run", false, &heard).unwrap();
         let warnings = heard.warnings();
         assert!(warnings[0].message.contains("takes over from `tracker run` (process 4000000 on"), "{warnings:?}");
-        assert!(result.join("kept").is_file());
+        assert_eq!(entries(&result), [".model.4.part", "kept"]);
         drop(lock);
         assert_eq!(entries(dir.path()), [".tracks.4000000.part", "track"]);
     }
