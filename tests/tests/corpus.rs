@@ -74,8 +74,12 @@ fn what_is_made_is_made_once_until_something_changes() {
     let build = ["dataset", "build", text(&take), "--frames", "20", "--scale", "2", "--out", text(&data)];
     // Two at once: one makes it, the other waits and finds it made.
     let start = || {
-        let mut command = Command::new(binary("dataset"));
-        command.args(&build[1..]).args(["--if-changed", "--json", "-q"]).stdout(Stdio::piped()).spawn().unwrap()
+        Command::new(binary("dataset"))
+            .args(&build[1..])
+            .args(["--if-changed", "--json", "-q"])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap()
     };
     let both = [start(), start()].map(|child| child.wait_with_output().unwrap());
     let current: Vec<bool> = both
@@ -96,7 +100,9 @@ fn what_is_made_is_made_once_until_something_changes() {
     };
     let long = fit("100000");
     let mut child = Command::new(binary("trainer")).args(&long[1..]).arg("-q").spawn().unwrap();
-    while std::fs::read_dir(out.join("checkpoints")).is_ok_and(|d| d.flatten().all(|e| !is_step(&e))) || !out.exists() {
+    let has_checkpoint =
+        || std::fs::read_dir(out.join("checkpoints")).is_ok_and(|entries| entries.flatten().any(|e| is_step(&e)));
+    while !has_checkpoint() {
         assert!(child.try_wait().unwrap().is_none(), "the fit ended by itself");
         std::thread::sleep(Duration::from_millis(20));
     }
@@ -107,7 +113,7 @@ fn what_is_made_is_made_once_until_something_changes() {
     child.kill().unwrap();
     child.wait().unwrap();
     assert_eq!(lab.hidden(), [".run.lock"]);
-    // The same command goes on; its length is its own affair, so it is stopped again and a short one replaces it.
+    // Another fit is refused, as ever; with --force it replaces what the dead one left.
     let short = fit("10");
     let refused = run("trainer", &short[1..].iter().map(String::as_str).chain(["--if-changed"]).collect::<Vec<_>>());
     assert_eq!(refused.status.code(), Some(1), "another fit is not replaced without --force");
@@ -133,11 +139,12 @@ fn an_installation_that_lacks_something_is_told_from_a_bad_take() {
         command.args(args).env("PATH", lab.at("empty")).env("RISORIUS_MODELS", lab.at("empty")).arg("-q");
         command.output().unwrap().status.code()
     };
-    let empty = lab.at("empty");
+    let nothing = lab.at("nothing");
+    std::fs::create_dir(&nothing).unwrap();
     assert_eq!(status("tracker", &["poses", text(&take), "--method", "colmap"]), Some(2));
     assert_eq!(status("tracker", &["run", text(&take)]), Some(2));
-    assert_eq!(status("tracker", &["run", text(&take), "--models", text(&empty)]), Some(1), "a path that was named");
-    assert_eq!(status("tracker", &["run", text(&empty)]), Some(1), "a bad take");
+    assert_eq!(status("tracker", &["run", text(&take), "--models", text(&nothing)]), Some(1), "a path that was named");
+    assert_eq!(status("tracker", &["run", text(&nothing)]), Some(1), "a bad take");
     // Neither took anything away.
     assert!(take.join("track/openface.csv").is_file() && take.join("poses/report.json").is_file());
 }
