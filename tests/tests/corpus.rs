@@ -18,6 +18,12 @@ fn json(output: &str) -> Value {
     serde_json::from_str(output).unwrap_or_else(|e| panic!("not one JSON document ({e}): {output}"))
 }
 
+/// Runs a stage with `--if-changed`; whether there was nothing to do.
+fn is_current(command: &[&str]) -> bool {
+    let output = succeed(command[0], &[&command[1..], &["--if-changed", "--json", "-q"]].concat());
+    json(&output)["up_to_date"].as_bool().unwrap_or(false)
+}
+
 /// Small captures, and the stages on them as the workflow runs them.
 struct Lab {
     dir: tempfile::TempDir,
@@ -38,12 +44,6 @@ impl Lab {
         self.dir.path().join(name)
     }
 
-    /// Runs a stage with `--if-changed`; whether there was nothing to do.
-    fn is_current(&self, command: &[&str]) -> bool {
-        let output = succeed(command[0], &[&command[1..], &["--if-changed", "--json", "-q"]].concat());
-        json(&output)["up_to_date"].as_bool().unwrap_or(false)
-    }
-
     fn take(&self, seed: &str) -> PathBuf {
         let (capture, take) = (self.at(&format!("capture{seed}")), self.at(&format!("take{seed}")));
         let (video, table, model) =
@@ -54,8 +54,8 @@ impl Lab {
             &["tracker", "poses", text(&take), "--colmap-model", text(&model)],
         ];
         for stage in stages {
-            assert!(!self.is_current(stage), "{stage:?} was not there");
-            assert!(self.is_current(stage), "{stage:?} was made again");
+            assert!(!is_current(stage), "{stage:?} was not there");
+            assert!(is_current(stage), "{stage:?} was made again");
         }
         take
     }
@@ -90,8 +90,8 @@ fn what_is_made_is_made_once_until_something_changes() {
         })
         .collect();
     assert_eq!(current.iter().filter(|c| **c).count(), 1, "{current:?}");
-    assert!(!lab.is_current(&[&build[..], &["--uniform"]].concat()), "another setting");
-    assert!(!lab.is_current(&build));
+    assert!(!is_current(&[&build[..], &["--uniform"]].concat()), "another setting");
+    assert!(!is_current(&build));
 
     // A fit that is killed: its lock stays, is known to be a dead one's, and the fit goes on.
     let fit = |steps: &'static str| {
@@ -120,8 +120,8 @@ fn what_is_made_is_made_once_until_something_changes() {
     let takes_over = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(takes_over.contains(&format!("takes over from `trainer fit` (process {} on", child.id())), "{takes_over}");
     let forced: Vec<&str> = short.iter().map(String::as_str).chain(["--force"]).collect();
-    assert!(!lab.is_current(&forced));
-    assert!(lab.is_current(&forced));
+    assert!(!is_current(&forced));
+    assert!(is_current(&forced));
     assert!(lab.hidden().is_empty());
 }
 

@@ -143,7 +143,10 @@ pub(super) fn run(args: &PosesArgs, console: &Console) -> Result<(), Failure> {
     super::need_take(&args.take)?;
     // The options hold where a model lies, which is no setting: its contents are an input.
     let asked = match &options.source {
-        Source::Model { first, .. } => format!("model from {first}, {options:?}").replace(&dir_in_words(args), ""),
+        Source::Model { first, .. } => {
+            let source = Source::Model { dir: PathBuf::new(), first: *first };
+            format!("{:?}", PosesOptions { source, ..options.clone() })
+        }
         _ => format!("{options:?}"),
     };
     let stage = Stage::new("tracker poses", &place, &asked)?;
@@ -157,11 +160,6 @@ pub(super) fn run(args: &PosesArgs, console: &Console) -> Result<(), Failure> {
     let human = format!("{}\nwritten to    {}", in_words(&report), args.take.join("poses").display());
     console.finish(&report, &human);
     Ok(())
-}
-
-/// How the options show the folder of the model.
-fn dir_in_words(args: &PosesArgs) -> String {
-    args.colmap_model.as_ref().map_or_else(String::new, |dir| format!("{dir:?}"))
 }
 
 /// Whether a file belongs to a COLMAP model, wherever it lies in the folder that was named.

@@ -191,7 +191,9 @@ fn inputs(args: &EvalArgs, views: Option<&(ViewList, PathBuf)>) -> Inputs {
         inputs = inputs.file("views", path).folder("pictures", base, |name| wanted.contains(name));
     }
     match &args.renders {
-        Some(renders) => inputs.folder("renders", renders, |name| name.ends_with(".png")),
+        Some(renders) => {
+            inputs.folder("renders", renders, |name| Path::new(name).extension().is_some_and(|e| e == "png"))
+        }
         None => inputs,
     }
 }

@@ -171,7 +171,7 @@ fn pictures(out: Option<&Path>) -> Vec<String> {
     let Some(out) = out else { return vec![String::new()] };
     let entries = std::fs::read_dir(out).into_iter().flatten().flatten();
     let names = entries.map(|e| e.file_name().to_string_lossy().into_owned());
-    let mut names: Vec<String> = names.filter(|n| n.ends_with(".png")).collect();
+    let mut names: Vec<String> = names.filter(|n| Path::new(n).extension().is_some_and(|e| e == "png")).collect();
     names.sort();
     names
 }

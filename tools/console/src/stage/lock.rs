@@ -21,7 +21,7 @@ use crate::Failure;
 /// How often an owner writes itself down again.
 const HEARTBEAT: Duration = Duration::from_secs(20);
 /// An owner on another machine that has not been heard of for this long is dead.
-const SILENCE: Duration = Duration::from_secs(180);
+const SILENCE: Duration = Duration::from_mins(3);
 /// How often a waiting process looks again.
 const POLL: Duration = Duration::from_millis(200);
 
@@ -88,7 +88,7 @@ impl Lock {
                         reporter.warn(Warning::new("stale-lock", message));
                         leftovers::clear(&real, owner.pid);
                     }
-                    let beat = file.try_clone().ok().and_then(|file| heartbeat(file, stage.to_owned()));
+                    let beat = file.try_clone().ok().and_then(|file| heartbeat(file, stage));
                     return Ok(Some(Self { path, file, beat, made }));
                 }
                 Found::Held(owner) if wait => {
@@ -174,7 +174,7 @@ fn write_owner(file: &mut File, stage: &str) -> io::Result<()> {
 }
 
 /// Sets the file's time now and then, so that other machines know that its owner lives.
-fn heartbeat(file: File, stage: String) -> Option<(Sender<()>, JoinHandle<()>)> {
+fn heartbeat(file: File, stage: &str) -> Option<(Sender<()>, JoinHandle<()>)> {
     let (stop, stopped) = mpsc::channel();
     let beat = move || {
         while stopped.recv_timeout(HEARTBEAT) == Err(RecvTimeoutError::Timeout) {
