@@ -61,7 +61,7 @@ class Model:
         if stage == "poses" and capture.colmap:
             return self.laws["model"]
         if stage == "fit" and not option(settings["fit_options"], "--steps", 0):
-            return {**self.laws["fit"], "seconds": [1.0, 1.0]}
+            return self.laws["fit by time"]
         return self.laws[stage]
 
     def expect(self, capture, settings, frames=None, pixels=None):
@@ -103,14 +103,16 @@ def guess(video):
     return max(2, size / (pixels * BYTES_PER_PIXEL)), pixels
 
 
-def fit_line(points):
-    """Least squares of y = a + b·x with a and b not below 0; only b where there is one x."""
+def fit_line(points, through_origin=False):
+    """Least squares of y = a + b·x with a and b not below 0. Where there is one x only, a, or b if `through_origin`."""
     n = len(points)
     if not n:
         return [0.0, 0.0]
     mx, my = sum(p[0] for p in points) / n, sum(p[1] for p in points) / n
     spread = sum((p[0] - mx) ** 2 for p in points)
     slope = sum((p[0] - mx) * (p[1] - my) for p in points) / spread if spread > 1e-12 else 0.0
+    if spread <= 1e-12 and through_origin and mx > 0:
+        return [0.0, round(my / mx, 6)]
     if slope < 0 or spread <= 1e-12:
         return [round(my, 4), 0.0]
     if my - slope * mx < 0:
@@ -163,11 +165,14 @@ def main():
     for way in sorted({row[0] for row in rows}):
         mine = [row for row in rows if row[0] == way]
         laws[way] = {
-            "seconds": fit_line([(r[1], r[2]) for r in mine]),
+            "seconds": fit_line([(r[1], r[2]) for r in mine], through_origin=way == "fit"),
             "mib": fit_line([(r[1], r[3]) for r in mine]),
             "measured": len(mine),
         }
-    print(json.dumps({"about": "CPU seconds and MiB, a + b * feature; see cost.py", "laws": laws}, indent=1))
+    # What a fit of two minutes and more holds, from the README's table; its time is what was asked for, and a save.
+    laws["fit by time"] = {"seconds": [5.0, 1.0], "mib": [2300.0, 0.0], "measured": 0}
+    lines = [f"  {json.dumps(name)}: {json.dumps(law)}" for name, law in laws.items()]
+    print('{\n "about": "CPU seconds and MiB, a + b * feature; see cost.py",\n "laws": {\n' + ",\n".join(lines) + "\n }\n}")
 
 
 if __name__ == "__main__":

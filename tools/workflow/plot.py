@@ -7,6 +7,7 @@ usage: plot.py CORPUS OUT.svg
 import json
 import sys
 from pathlib import Path
+from statistics import median
 
 STAGES = ("record", "track", "poses", "dataset", "fit", "eval", "transfer", "collect")
 COLOURS = ("#4e79a7", "#f28e2b", "#59a14f", "#b07aa1", "#e15759", "#76b7b2", "#edc948", "#9c755f")
@@ -24,8 +25,8 @@ def nice(most):
 
 
 def cost_by_length(takes):
-    """A bar per take that was finished, at its length in frames: CPU seconds of each stage, one upon the other; and the
-    straight line that fits the sums."""
+    """A bar per take that was finished, at its length in frames: CPU seconds of each stage, one upon the other; and a
+    straight line through the sums."""
     points = [(t["frames"], t["cpu_seconds"], t["take"]) for t in takes if t.get("frames") and t.get("avatar")]
     if not points:
         return "<p>No take is finished yet.</p>"
@@ -69,7 +70,7 @@ def cost_by_length(takes):
             f'<path d="M{x(first):.1f} {y(a + b * first):.1f}L{x(last):.1f} {y(a + b * last):.1f}" '
             'stroke="#222" stroke-dasharray="5 4" fill="none"/>'
         )
-        out.append(f'<text x="{LEFT + 8}" y="{TOP - 8}">{a:.1f} s + {1000 * b:.0f} s per 1,000 frames</text>')
+        out.append(f'<text x="{LEFT + 8}" y="{TOP - 8}">{a:.1f} s {"+" if b >= 0 else "−"} {abs(1000 * b):.0f} s per 1,000 frames</text>')
     out.append(f'<text x="{(LEFT + WIDTH - RIGHT) / 2}" y="{HEIGHT - 12}" text-anchor="middle">frames of the take</text>')
     middle = (TOP + HEIGHT - BOTTOM) / 2
     out.append(f'<text x="18" y="{middle}" text-anchor="middle" transform="rotate(-90 18 {middle})">CPU seconds</text>')
@@ -81,12 +82,10 @@ def cost_by_length(takes):
 
 
 def line(points):
-    """Least squares."""
-    n = len(points)
-    mx, my = sum(p[0] for p in points) / n, sum(p[1] for p in points) / n
-    spread = sum((p[0] - mx) ** 2 for p in points)
-    slope = sum((p[0] - mx) * (p[1] - my) for p in points) / spread if spread else 0.0
-    return my - slope * mx, slope
+    """The straight line of Theil and Sen: a few takes that went another way do not bend it."""
+    slopes = [(q[1] - p[1]) / (q[0] - p[0]) for k, p in enumerate(points) for q in points[k + 1 :] if q[0] != p[0]]
+    slope = median(slopes) if slopes else 0.0
+    return median([y - slope * x for x, y in points]), slope
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 75em; padding: 0 1em; color: #222 }
 table { border-collapse: collapse; width: 100% } th, td { text-align: left; padding: .3em .6em; border-bottom: 1px solid #ddd }
 td.n { text-align: right; font-variant-numeric: tabular-nums } tr.bad td { background: #fdecea } tr.open td { background: #fff8e1 }
-img.face { height: 96px; border-radius: 4px; margin-right: 2px } small { color: #666 } code { background: #f4f4f4; padding: 0 .2em }
+img.face { height: 96px; border-radius: 4px; margin-right: 2px } td.face { white-space: nowrap } small { color: #666 } code { background: #f4f4f4; padding: 0 .2em }
 """
 
 
@@ -58,6 +58,7 @@ def outcome(corpus, capture):
         means = scores.get("means", {}).get("all", {})
         row |= {"psnr_db": means.get("psnr_db"), "ms_ssim": means.get("ms_ssim")}
         row["icc_3_1"] = (scores.get("control") or {}).get("mean_icc_3_1")
+    row["views"] = [v["id"] for v in scores.get("views") or []]
     return row
 
 
@@ -78,8 +79,9 @@ def number(value, digits):
 def pictures(corpus, take):
     """Up to three pictures of the avatar, and the film, relative to the page."""
     run = corpus / "runs" / take["id"]
-    found = sorted((run / "eval" / "renders").glob("*.png"))
-    chosen = found[:: max(1, len(found) // 3)][:3]
+    # The folder may hold pictures of an earlier evaluation, too.
+    found = [run / "eval" / "renders" / f"{view}.png" for view in take["views"]]
+    chosen = [p for p in found[:: max(1, len(found) // 3)] if p.exists()][:3]
     links = [f'<img class="face" loading="lazy" src="{link(corpus, p)}" alt="">' for p in chosen]
     film = corpus / "transfers" / f"{take['id']}.mp4"
     more = [f'<a href="{link(corpus, film)}">transfer</a>'] if film.exists() else []
@@ -119,7 +121,7 @@ def page(corpus, found):
             f'<tr class="{state}"><td>{e(t["take"])}{log}{note}<td class=n>{t["frames"] or "–"}'
             f'<td class=n>{number(t.get("psnr_db"), 2)}<td class=n>{number(t.get("ms_ssim"), 3)}'
             f'<td class=n>{number(t.get("icc_3_1"), 3)}<td class=n>{sum(t["cpu_seconds"].values()):.1f}'
-            f'<td class=n>{t["peak_mib"]:.0f}<td>{pictures(corpus, t)}'
+            f'<td class=n>{t["peak_mib"]:.0f}<td class=face>{pictures(corpus, t)}'
         )
     lines.append("</table><h2>Cost</h2>")
     lines.append(plot.cost_by_length(found["takes"]))
