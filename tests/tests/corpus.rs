@@ -180,6 +180,34 @@ fn takes_become_a_corpus_that_engines_read() {
     assert_eq!(wrong.status.code(), Some(1));
 }
 
+#[test]
+fn a_bad_table_of_takes_is_answered_with_its_place() {
+    if Command::new("python3").arg("--version").output().is_err() {
+        eprintln!("SKIPPED: there is no python3 here");
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let (table, out) = (dir.path().join("captures.csv"), dir.path().join("corpus"));
+    let tool = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tools/corpus");
+    for (text_of_table, words) in [
+        ("", "captures.csv: the table is empty"),
+        ("subject,take\na,1\n", "captures.csv:1: there is no column `video`"),
+        ("subject,take,video,colour\n", "captures.csv:1: column `colour` is not known"),
+        ("subject,take,video\n", "captures.csv: the table has no rows"),
+        ("subject,take,video\na,1,v.mp4\n,2,v.mp4\n", "captures.csv:3: column `subject`: is empty"),
+        ("subject,take,video\na,1,v.mp4\na,1,w.mp4\n", "captures.csv:3: a/1 stands in line 2 already"),
+        ("subject,take,video\na,1,v.mp4,x\n", "captures.csv:2: has more cells than the first line"),
+        ("subject,take,video,driver\na,1,v.mp4,b/2\n", "captures.csv:2: column `driver`: `b/2` is neither"),
+    ] {
+        std::fs::write(&table, text_of_table).unwrap();
+        let output = Command::new("python3").arg(&tool).args([text(&table), "--out", text(&out)]).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(1), "{said}");
+        assert!(said.starts_with("error: ") && said.contains(words) && said.contains("\nhint: "), "{words}: {said}");
+        assert!(!out.exists());
+    }
+}
+
 /// Two takes, one of them bad, through the whole workflow.
 #[test]
 fn the_workflow_goes_on_past_a_bad_take() {

@@ -64,7 +64,7 @@ class Work:
         self.stage, self.capture, self.settings, self.attempt = stage, capture, settings, attempt
         self.state = Path("state") / capture.id
         self.log = Path("logs") / capture.id / f"{stage}.log"
-        self.child = None
+        self.child, self.stopping = None, False
 
     def run(self):
         self.state.mkdir(parents=True, exist_ok=True)
@@ -78,6 +78,9 @@ class Work:
         self.note("begin", attempt=self.attempt)
         with self.device() as environment:
             status, document, said, seconds, usage = self.execute(command, environment)
+        if self.stopping and status != 0:
+            self.note("stopped", status=status)
+            return 3
         cost = {"seconds": seconds, **usage}
         if status == 0:
             self.after()
@@ -203,12 +206,11 @@ class Work:
         return status, document if isinstance(document, dict) else {}, said, round(seconds, 3), usage
 
     def stopped(self, number, _frame):
-        """Hands the signal on, so that the stage leaves whole files, and is not taken for a bad take."""
-        if self.child:
+        """Lets the stage leave whole files; a take whose stage was stopped is not a bad one."""
+        # Ctrl-C reaches the stage by itself, and a second one would end it at once.
+        if self.child and not self.stopping and number == signal.SIGTERM:
             self.child.send_signal(number)
-            self.child.wait()
-        self.note("stopped", signal=number)
-        sys.exit(3)
+        self.stopping = True
 
     def after(self):
         if self.stage == "fit" and not self.settings["keep_checkpoints"]:
