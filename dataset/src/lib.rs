@@ -13,6 +13,7 @@ pub mod balance;
 pub mod choose;
 pub mod cli;
 pub mod compare;
+pub mod corpus;
 pub mod entropy;
 pub mod error;
 pub mod export;

@@ -11,6 +11,12 @@ use risorius_formats::{Camera, ErrorKind, FormatError, Intrinsics, Isometry};
 use crate::error::{DatasetError, Result};
 use crate::tables::CAMERA_COLUMNS;
 
+fn not_parquet(path: &Path, error: &polars::error::PolarsError) -> FormatError {
+    let message = error.to_string();
+    let message = format!("is not a Parquet table: {}", message.lines().next().unwrap_or_default());
+    FormatError::new(ErrorKind::Syntax, message).in_file(path)
+}
+
 /// A table that was read, whose columns are asked for by name and type.
 pub(crate) struct TableFile {
     path: PathBuf,
@@ -28,13 +34,16 @@ impl TableFile {
         Self::read(path, Some(columns.iter().map(ToString::to_string).collect()))
     }
 
+    /// The names of a Parquet file's columns, without its rows.
+    pub(crate) fn column_names(path: &Path) -> Result<Vec<String>> {
+        let file = File::open(path).map_err(|e| FormatError::io(path, "read", &e))?;
+        let schema = ParquetReader::new(file).schema().map_err(|e| not_parquet(path, &e))?;
+        Ok(schema.iter_names().map(ToString::to_string).collect())
+    }
+
     fn read(path: &Path, columns: Option<Vec<String>>) -> Result<Self> {
         let file = File::open(path).map_err(|e| FormatError::io(path, "read", &e))?;
-        let frame = ParquetReader::new(file).with_columns(columns).finish().map_err(|e| {
-            let message = e.to_string();
-            let message = format!("is not a Parquet table: {}", message.lines().next().unwrap_or_default());
-            FormatError::new(ErrorKind::Syntax, message).in_file(path)
-        })?;
+        let frame = ParquetReader::new(file).with_columns(columns).finish().map_err(|e| not_parquet(path, &e))?;
         Ok(Self { path: path.to_owned(), frame })
     }
 

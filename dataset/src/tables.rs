@@ -30,7 +30,7 @@ pub fn table_path(dir: &Path, table: &str, take: &str) -> PathBuf {
 }
 
 /// A name as a folder of a Hive partition: everything but letters, digits, `.`, `_` and `-` as `%XX`.
-fn encoded(name: &str) -> String {
+pub(crate) fn encoded(name: &str) -> String {
     let plain = |b: u8| b.is_ascii_alphanumeric() || matches!(b, b'.' | b'_' | b'-');
     name.bytes().map(|b| if plain(b) { char::from(b).to_string() } else { format!("%{b:02X}") }).collect()
 }

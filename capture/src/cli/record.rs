@@ -3,8 +3,9 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use risorius_console::{Console, Failure, settings};
+use risorius_console::{AgainArgs, Console, Failure, Inputs, Stage, settings};
 use serde::Deserialize;
+use serde_json::json;
 
 use crate::record::{RecordOptions, RecordSummary, record, rehearse};
 
@@ -43,6 +44,8 @@ pub(super) struct RecordArgs {
     /// Frames per second at which a slow-motion clip was filmed, if its metadata do not tell.
     #[arg(long, value_name = "N", value_parser = parse_fps, conflicts_with = "device")]
     true_fps: Option<f64>,
+    #[command(flatten)]
+    again: AgainArgs,
     /// Say what would be recorded, and record nothing.
     #[arg(long)]
     pub(super) dry_run: bool,
@@ -103,7 +106,19 @@ pub(super) fn run(args: &RecordArgs, console: &Console) -> Result<(), Failure> {
         console.finish(&planned, &text);
         return Ok(());
     }
+    let asked = json!({
+        "link": options.link,
+        "subject": options.subject,
+        "consent": options.consent,
+        "image_fps": options.image_fps,
+        "true_fps": options.true_fps,
+    });
+    let stage = Stage::new("capture record", &options.out, &asked)?;
+    // Of a folder, the pictures in it and nothing below it.
+    let inputs = Inputs::default().folder("input", &options.input, |name| !name.contains('/'));
+    let Some(running) = stage.begin(args.again, inputs, console)? else { return Ok(()) };
     let summary = record(&options, console)?;
+    running.finish(&["take.toml", "frames.csv"])?;
     console.finish(&summary, &text(&summary));
     Ok(())
 }

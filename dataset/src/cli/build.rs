@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use risorius_console::{Console, Failure};
+use risorius_console::{AgainArgs, Console, Failure, Inputs, Stage};
 use risorius_formats::RegionTable;
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 
 use crate::balance::{Bins, Quota};
 use crate::build::Built;
@@ -165,6 +166,8 @@ pub(super) struct Args {
     /// A TOML file that says which AU belongs to which region [default: the paper's table]
     #[arg(long, value_name = "FILE.toml")]
     regions: Option<PathBuf>,
+    #[command(flatten)]
+    again: AgainArgs,
 }
 
 /// `[dataset]` of risorius.toml.
@@ -197,9 +200,27 @@ struct Settings {
 pub(super) fn run(args: &Args, console: &Console) -> Result<(), Failure> {
     let settings: Settings = risorius_console::settings("dataset")?;
     let options = resolve(args, settings)?;
+    let takes = takes_inputs(&args.takes);
+    let names: Vec<_> = args.takes.iter().map(|take| take.file_name().unwrap_or_default().to_string_lossy()).collect();
+    // The names stand in the tables; as a hash they say nothing about a take that is redacted later.
+    let names = risorius_formats::hash::sha256_of_bytes(names.join("/").as_bytes());
+    let asked = json!({ "options": &options, "takes": args.takes.len(), "names": names });
+    let stage = Stage::new("dataset build", &args.out, &asked)?;
+    let Some(running) = stage.begin(args.again, takes, console)? else { return Ok(()) };
     let built = crate::build_timed(&args.takes, &args.out, &options, console)?;
+    let files = ["dataset.json", "metadata.json", "scene.json", "attributes.toml", "takes.toml", "intensities.csv"];
+    running.finish(&files)?;
     console.finish(&Document::of(&built), &summary(&built.report, &args.out));
     Ok(())
+}
+
+/// What is read of the takes.
+fn takes_inputs(takes: &[PathBuf]) -> Inputs {
+    let is_read = |name: &str| {
+        name.starts_with("poses/sparse/")
+            || ["take.toml", "frames.csv", "track/openface.csv", "poses/report.json"].contains(&name)
+    };
+    takes.iter().zip(1..).fold(Inputs::default(), |all, (take, k)| all.folder(format!("take {k}"), take, is_read))
 }
 
 /// What `--json` says: the report, and how long the parts took, which no file of the dataset holds.

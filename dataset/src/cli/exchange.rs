@@ -96,6 +96,7 @@ pub(super) fn export(args: &ExportArgs, console: &Console) -> Result<(), Failure
         LayoutArg::Parquet => Target::Parquet,
     };
     let options = ExportOptions { plain: args.plain };
+    let _lock = risorius_console::hold("dataset export", &args.out, console)?;
     let done = export::export_with(&args.dataset, target, &args.out, options, console)?;
     if matches!(args.to, LayoutArg::Nerfies) {
         console.say("note: the released CoNeRF and CoNFies loaders also want rgb/<s>x/<id>_depth.npy; a video has no depth, so none is written");
@@ -106,6 +107,7 @@ pub(super) fn export(args: &ExportArgs, console: &Console) -> Result<(), Failure
 
 pub(super) fn import(args: &ImportArgs, console: &Console) -> Result<(), Failure> {
     let options = ImportOptions { units: args.au.iter().cloned().collect(), ignore_sidecar: args.ignore_sidecar };
+    let _lock = risorius_console::hold("dataset import", &args.out, console)?;
     let report = import::import(&args.folder, &args.out, &options, console)?;
     let active = report.attributes.iter().filter(|a| a.active).count();
     let text = format!(
@@ -120,6 +122,7 @@ pub(super) fn import(args: &ImportArgs, console: &Console) -> Result<(), Failure
 }
 
 pub(super) fn redact(args: &RedactArgs, console: &Console) -> Result<(), Failure> {
+    let _lock = risorius_console::hold("dataset redact", &args.dataset, console)?;
     let done = redact::redact(&args.dataset, &args.take, console)?;
     let text = format!(
         "{}: {} frames of take `{}` are gone, {} frames of {} stay",

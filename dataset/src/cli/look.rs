@@ -7,17 +7,18 @@ use risorius_console::{Console, Failure};
 use risorius_formats::pose_report::json_error;
 use risorius_formats::{ErrorKind, FormatError};
 
-use crate::{BuildOptions, Report, compare, plot, survey, tables, verify};
+use crate::{BuildOptions, Report, compare, corpus, plot, survey, tables, verify};
 
 /// Show how a dataset was chosen and how even its AU intensities are.
 ///
-/// Of several datasets the chosen frames are counted together, one take in memory at a time.
+/// Of several datasets the chosen frames are counted together, and a corpus (see `dataset collect`) is summed up: subjects,
+/// AUs, worst takes, drift of ICC. Either way one take is in memory at a time.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  dataset stats datasets/ada --plot ada.svg\n  dataset stats datasets/ada --compare\n  dataset stats datasets/*"
+    after_help = "Examples:\n  dataset stats datasets/ada --plot ada.svg\n  dataset stats datasets/ada --compare\n  dataset stats datasets/*\n  dataset stats corpus"
 )]
 pub(super) struct StatsArgs {
-    /// Folders of datasets made by `dataset build` or `dataset import`
+    /// Folders of datasets made by `dataset build` or `dataset import`, or of one corpus
     #[arg(required = true, value_name = "DATASET")]
     datasets: Vec<PathBuf>,
     /// Also draw the intensities before and after
@@ -55,6 +56,9 @@ pub(super) fn stats(args: &StatsArgs, console: &Console) -> Result<(), Failure> 
         console.finish(&survey, &survey_table(&survey));
         return Ok(());
     };
+    if corpus::is_corpus(dataset) {
+        return super::corpus::stats(dataset, console);
+    }
     let path = dataset.join("report").join("stats.json");
     let report = read_report(dataset, &path)?;
     if let Some(path) = &args.plot {

@@ -1,6 +1,7 @@
 //! The `dataset` command: options in, documents out.
 
 mod build;
+mod corpus;
 mod exchange;
 mod look;
 
@@ -36,6 +37,7 @@ enum Command {
     Export(exchange::ExportArgs),
     Import(exchange::ImportArgs),
     Redact(exchange::RedactArgs),
+    Collect(corpus::CollectArgs),
 }
 
 /// Runs the command that was asked for.
@@ -47,5 +49,6 @@ pub fn run(args: &Args, console: &Console) -> Result<(), Failure> {
         Command::Export(args) => exchange::export(args, console),
         Command::Import(args) => exchange::import(args, console),
         Command::Redact(args) => exchange::redact(args, console),
+        Command::Collect(args) => corpus::collect(args, console),
     }
 }

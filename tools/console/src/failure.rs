@@ -7,7 +7,7 @@ use serde_json::json;
 
 /// Exit status for input that cannot be processed.
 const INPUT: u8 = 1;
-/// Exit status for wrong usage and for bugs.
+/// Exit status for wrong usage, for bugs and for what the installation lacks.
 const USAGE: u8 = 2;
 
 /// Why a command failed: a message, a hint and an exit status.
@@ -38,6 +38,13 @@ impl Failure {
     /// The program is at fault: exit status 2.
     pub fn bug(message: impl Into<String>) -> Self {
         Self::new(message, USAGE)
+    }
+
+    /// Not the input is at fault but what the program needs beside it, such as a missing network: exit status 2, for
+    /// every other input would fail in the same way.
+    #[must_use]
+    pub fn of_installation(self) -> Self {
+        Self { status: USAGE, ..self }
     }
 
     /// The user stopped the work; `left` says what there is now, such as `nothing was written`. Exit status 1.

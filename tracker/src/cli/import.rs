@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use risorius_console::{Console, Failure};
+use risorius_console::{AgainArgs, Console, Failure, Stage};
 use risorius_formats::openface::FaceChoice;
 use serde::Deserialize;
+use serde_json::json;
 
 use crate::import::{self, ImportOptions, MIN_CONFIDENCE};
 
@@ -30,6 +31,8 @@ pub(super) struct ImportArgs {
     /// Rows below this confidence are lost, 0–1 [default: 0.8]
     #[arg(long, value_name = "SHARE")]
     min_confidence: Option<f32>,
+    #[command(flatten)]
+    again: AgainArgs,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum, Deserialize)]
@@ -64,7 +67,18 @@ pub(super) fn run(args: &ImportArgs, console: &Console) -> Result<(), Failure> {
         face,
         min_confidence,
     };
+    let asked = json!({
+        "first_frame": options.first_frame,
+        "first_face": matches!(options.face, FaceChoice::First),
+        "min_confidence": min_confidence,
+    });
+    let track = args.take.join("track");
+    super::need_take(&args.take)?;
+    let stage = Stage::new("tracker import", &track, &asked)?;
+    let inputs = super::take_inputs(&args.take, &[]).file("openface", &options.openface);
+    let Some(running) = stage.begin(args.again, inputs, console)? else { return Ok(()) };
     let summary = import::import(&args.take, &options, console)?;
+    running.finish(&["openface.csv", "track.parquet"])?;
     let human =
         format!("{}\nwritten to   {}", super::quality_in_words(&summary.quality), args.take.join("track").display());
     console.finish(&summary, &human);

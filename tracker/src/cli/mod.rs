@@ -6,8 +6,12 @@ mod live;
 mod poses;
 mod run;
 
+use std::path::Path;
+
 use clap::{Parser, Subcommand};
-use risorius_console::{Common, CommonArgs, Console, Failure};
+use risorius_console::{Common, CommonArgs, Console, Failure, Inputs};
+
+use crate::error::TrackerError;
 
 /// Landmarks, action units, head and camera poses of a take.
 #[derive(Parser, Debug)]
@@ -48,6 +52,28 @@ pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
         Command::Poses(args) => poses::run(args, console),
         Command::Check(args) => check::run(args, console),
     }
+}
+
+/// Says what is wrong with a take's folder before anything is locked or made in it.
+fn need_take(take: &Path) -> Result<(), Failure> {
+    if take.is_dir() { Ok(()) } else { Ok(risorius_formats::Take::open(take).map(drop)?) }
+}
+
+/// What every stage reads of a take, and `more` files in it. `take.toml` holds the hash of the video.
+fn take_inputs(take: &Path, more: &[&str]) -> Inputs {
+    let names = ["take.toml", "frames.csv"].iter().chain(more);
+    names.fold(Inputs::default(), |inputs, name| inputs.file(*name, take.join(name)))
+}
+
+/// Tells a bad take from an installation that lacks something, unless the user `named` what is lacking.
+fn failure(error: TrackerError, named: bool) -> Failure {
+    let lacks = match &error {
+        TrackerError::NoRuntime { .. } | TrackerError::Runtime { .. } | TrackerError::ColmapMissing { .. } => true,
+        TrackerError::Format(e) => e.path().is_some_and(|p| p.starts_with(crate::models::default_dir())),
+        _ => false,
+    };
+    let failure = Failure::from(error);
+    if lacks && !named { failure.of_installation() } else { failure }
 }
 
 /// `12–15, 20, …`, the longest list that still fits a line.

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::ValueEnum;
-use risorius_console::{Console, Failure};
+use risorius_console::{AgainArgs, Console, Failure, Stage};
 use risorius_formats::pose_report::{PoseMethod, PoseReport};
 use serde::Deserialize;
 
@@ -76,6 +76,8 @@ pub(super) struct PosesArgs {
     /// table's poses as they are
     #[arg(long)]
     no_refine: bool,
+    #[command(flatten)]
+    again: AgainArgs,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
@@ -137,10 +139,33 @@ pub(super) fn run(args: &PosesArgs, console: &Console) -> Result<(), Failure> {
         follow: !args.no_refine,
         correct_by_landmarks: !args.no_refine,
     };
-    let report = poses::find(&args.take, &options, console)?;
+    let place = args.take.join("poses");
+    super::need_take(&args.take)?;
+    // The options hold where a model lies, which is no setting: its contents are an input.
+    let asked = match &options.source {
+        Source::Model { first, .. } => {
+            let source = Source::Model { dir: PathBuf::new(), first: *first };
+            format!("{:?}", PosesOptions { source, ..options.clone() })
+        }
+        _ => format!("{options:?}"),
+    };
+    let stage = Stage::new("tracker poses", &place, &asked)?;
+    let mut inputs = super::take_inputs(&args.take, &["track/openface.csv"]);
+    if let Some(dir) = &args.colmap_model {
+        inputs = inputs.folder("colmap_model", dir, is_of_model);
+    }
+    let Some(running) = stage.begin(args.again, inputs, console)? else { return Ok(()) };
+    let report = poses::find(&args.take, &options, console).map_err(|e| super::failure(e, args.colmap.is_some()))?;
+    running.finish(&["sparse/cameras.txt", "sparse/images.txt", "sparse/points3D.txt", "report.json"])?;
     let human = format!("{}\nwritten to    {}", in_words(&report), args.take.join("poses").display());
     console.finish(&report, &human);
     Ok(())
+}
+
+/// Whether a file belongs to a COLMAP model, wherever it lies in the folder that was named.
+fn is_of_model(path: &str) -> bool {
+    let name = path.rsplit('/').next().unwrap_or(path);
+    ["cameras.", "images.", "points3D."].iter().any(|start| name.starts_with(start))
 }
 
 fn colmap_options(args: &PosesArgs, settings: &Settings) -> Result<ColmapOptions, Failure> {

@@ -4,8 +4,9 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use risorius_console::{Console, Failure};
+use risorius_console::{AgainArgs, Console, Failure, Stage};
 use serde::Deserialize;
+use serde_json::json;
 
 use crate::aus::Calibration;
 use crate::run::follow::FirstFace;
@@ -44,6 +45,8 @@ pub(super) struct RunArgs {
     /// Learn the person's rest from earlier frames only, as a live system has to
     #[arg(long)]
     online: bool,
+    #[command(flatten)]
+    again: AgainArgs,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum, Deserialize)]
@@ -97,7 +100,20 @@ pub(super) fn run(args: &RunArgs, console: &Console) -> Result<(), Failure> {
         focal_px,
         calibration: if online { Calibration::Online } else { Calibration::WholeVideo },
     };
-    let summary = run::run(&args.take, &options, console)?;
+    let models = options.models.clone().unwrap_or_else(crate::models::default_dir);
+    let asked = json!({
+        "every": every,
+        "first_face": matches!(face, FirstFace::First),
+        "focal_px": focal_px,
+        "online": online,
+    });
+    let track = args.take.join("track");
+    super::need_take(&args.take)?;
+    let stage = Stage::new("tracker run", &track, &asked)?;
+    let inputs = super::take_inputs(&args.take, &[]).file("models", models.join(crate::models::MANIFEST));
+    let Some(running) = stage.begin(args.again, inputs, console)? else { return Ok(()) };
+    let summary = run::run(&args.take, &options, console).map_err(|e| super::failure(e, options.models.is_some()))?;
+    running.finish(&["openface.csv", "track.parquet"])?;
     let mut human = super::quality_in_words(&summary.quality);
     let _ = write!(
         human,

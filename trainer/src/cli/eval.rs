@@ -3,13 +3,14 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use risorius_console::{Console, Failure};
+use risorius_console::{AgainArgs, Console, Failure, Inputs, Stage};
 use risorius_formats::pose_report::write_json;
 use risorius_formats::views::{View, ViewCamera, ViewList};
 use risorius_formats::{ActionUnit, Warning};
 use serde::Serialize;
+use serde_json::json;
 
-use super::{DeviceArgs, SkipArgs, need};
+use super::{DeviceArgs, SkipArgs, need, run_inputs};
 use crate::avatar::Avatar;
 use crate::data::read_rgb;
 use crate::error::TrainerError;
@@ -68,6 +69,8 @@ pub(super) struct EvalArgs {
     #[arg(long, value_name = "FILE")]
     tracker: Option<PathBuf>,
     #[command(flatten)]
+    again: AgainArgs,
+    #[command(flatten)]
     skips: SkipArgs,
     #[command(flatten)]
     device: DeviceArgs,
@@ -97,6 +100,21 @@ pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     };
     let folder = args.out.clone().unwrap_or_else(|| args.run.join("eval"));
     let models = args.models.clone().unwrap_or_else(lpips::default_dir);
+    let there = [LpipsNetwork::Alex, LpipsNetwork::Vgg].map(|n| Lpips::is_in(&models, n));
+    let asked = json!({
+        "baked": args.baked,
+        "lpips": args.lpips,
+        "networks": there,
+        "control": args.control,
+        "control_steps": args.control_steps,
+        "control_views": args.control_views,
+        "readable": args.readable.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        "decoupling": args.decoupling,
+        "no_skip": args.skips.no_skip,
+    });
+    let stage = Stage::new("trainer eval", &folder, &asked)?;
+    let inputs = inputs(args, views.as_ref());
+    let Some(running) = stage.begin(args.again, inputs, console)? else { return Ok(()) };
     let mut networks = if views.is_some() { open_networks(args, &models, console)? } else { Vec::new() };
     let avatar = if args.renders.is_none() || args.control || args.decoupling {
         Some(Avatar::open(&args.run, &args.device.device()?)?)
@@ -125,7 +143,13 @@ pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
                 tracker: args.tracker.clone().unwrap_or_else(default_tracker),
                 models: args.models.clone(),
             };
-            Some(control(avatar, &settings, &folder.join("control"), console)?)
+            // Its settings only name the tracker: if that cannot run, it cannot for any avatar.
+            let broken = |e: TrainerError| {
+                let is_tracker = matches!(e, TrainerError::Setting { .. });
+                let failure = Failure::from(e);
+                if is_tracker { failure.of_installation() } else { failure }
+            };
+            Some(control(avatar, &settings, &folder.join("control"), console).map_err(broken)?)
         }
         _ => None,
     };
@@ -152,8 +176,26 @@ pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let report = folder.join("report.html");
     let document = Document { evaluation, control: controlled, decoupling: decoupled, report };
     write_json(folder.join("eval.json"), &document)?;
+    running.finish(&["eval.json", "report.html"])?;
     console.finish(&document, &human(&document));
     Ok(())
+}
+
+/// What an evaluation reads: the avatar, the list of views and the true pictures, or the pictures to be judged.
+fn inputs(args: &EvalArgs, views: Option<&(ViewList, PathBuf)>) -> Inputs {
+    let mut inputs = run_inputs(Inputs::default(), "", &args.run);
+    if let Some((list, path)) = views {
+        let base = path.parent().unwrap_or(Path::new(".")).to_owned();
+        let wanted: std::collections::BTreeSet<String> =
+            list.views.iter().filter_map(|v| Some(v.image.as_ref()?.to_string_lossy().into_owned())).collect();
+        inputs = inputs.file("views", path).folder("pictures", base, |name| wanted.contains(name));
+    }
+    match &args.renders {
+        Some(renders) => {
+            inputs.folder("renders", renders, |name| Path::new(name).extension().is_some_and(|e| e == "png"))
+        }
+        None => inputs,
+    }
 }
 
 fn open_networks(args: &EvalArgs, models: &Path, console: &Console) -> Result<Vec<(LpipsNetwork, Lpips)>, Failure> {
@@ -169,7 +211,9 @@ fn open_networks(args: &EvalArgs, models: &Path, console: &Console) -> Result<Ve
     } else {
         all.into_iter().filter(|n| args.lpips.iter().any(|l| l == n.name())).collect()
     };
-    Ok(wanted.into_iter().map(|n| Ok((n, Lpips::open(models, n)?))).collect::<Result<_, TrainerError>>()?)
+    let opened = wanted.into_iter().map(|n| Ok((n, Lpips::open(models, n)?))).collect::<Result<_, TrainerError>>();
+    // Unless the user named the folder.
+    opened.map_err(|e| if args.models.is_some() { e.into() } else { Failure::from(e).of_installation() })
 }
 
 fn human(document: &Document) -> String {

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use risorius_console::{Console, Failure};
+use risorius_console::{AgainArgs, Console, Failure, Inputs, Running, Stage};
 use serde::{Deserialize, Serialize};
 
 use super::{DeviceArgs, need, parse_duration};
@@ -55,6 +55,8 @@ pub(super) struct FitArgs {
     /// Go on from the newest checkpoint in RUN
     #[arg(long)]
     pub(super) resume: bool,
+    #[command(flatten)]
+    pub(super) again: AgainArgs,
     /// Replace an existing run
     #[arg(long, conflicts_with = "resume")]
     force: bool,
@@ -64,6 +66,9 @@ pub(super) struct FitArgs {
     #[command(flatten)]
     pub(super) device: DeviceArgs,
 }
+
+/// What makes a finished run.
+pub(super) const OUTPUTS: [&str; 3] = ["model.safetensors", "model.json", "run.json"];
 
 /// `[trainer.fit]` of `risorius.toml`.
 #[derive(Debug, Default, Deserialize)]
@@ -154,12 +159,41 @@ pub(super) fn describe(summary: &fit::FitSummary) -> String {
     )
 }
 
+/// Takes the run's lock and decides whether a fit that was begun goes on: because that was asked for, or, with
+/// `--if-changed`, because it is the same one. `settings` are those of a new fit. `None`: there is nothing to do.
+pub(super) fn begin(
+    args: &FitArgs,
+    settings: &impl Serialize,
+    console: &Console,
+) -> Result<Option<(Running, bool)>, Failure> {
+    let asked = serde_json::json!({ "settings": settings, "budget_secs": args.budget });
+    let stage = Stage::new("trainer fit", &args.out, &asked)?;
+    let inputs = Inputs::default().folder("dataset", &args.dataset, |name| !name.starts_with("report/"));
+    let Some(running) = stage.begin(args.again, inputs, console)? else { return Ok(None) };
+    let begun = args.again.if_changed && running.is_unfinished();
+    let checkpoints = std::fs::read_dir(args.out.join("checkpoints"));
+    let can_go_on = checkpoints.is_ok_and(|entries| {
+        entries.flatten().any(|e| e.path().is_dir() && !e.file_name().to_string_lossy().starts_with('.'))
+    });
+    let resume = args.resume || (begun && can_go_on);
+    if resume && !args.resume {
+        console.say(&format!("{}: goes on from its newest checkpoint", args.out.display()));
+    }
+    prepare_run(args, resume, begun)?;
+    Ok(Some((running, resume)))
+}
+
 fn run_confies(args: &FitArgs, console: &Console) -> Result<(), Failure> {
-    let settings = resolve(args)?;
+    let mut settings = resolve(args, args.resume)?;
     settings.validate()?;
     let device = args.device.device()?;
+    let mut work = None;
     if !args.dry_run {
-        prepare_run(args)?;
+        let Some((running, resume)) = begin(args, &settings, console)? else { return Ok(()) };
+        if resume {
+            settings = resolve(args, true)?;
+        }
+        work = Some((running, resume));
     }
     let data = TrainData::load(&args.dataset, settings.image_scale, console)?;
     if args.dry_run {
@@ -181,14 +215,17 @@ fn run_confies(args: &FitArgs, console: &Console) -> Result<(), Failure> {
         return Ok(());
     }
     let limits = Limits { budget_secs: args.budget };
-    let summary = fit::fit(&data, &settings, limits, &args.out, args.resume, &device, console)?;
+    let Some((running, resume)) = work else { return Err(Failure::bug("a fit without a lock")) };
+    running.mark()?;
+    let summary = fit::fit(&data, &settings, limits, &args.out, resume, &device, console)?;
+    running.finish(&OUTPUTS)?;
     console.finish(&summary, &describe(&summary));
     Ok(())
 }
 
 /// Command line, then the settings of the run to resume, then `risorius.toml`, then the preset.
-fn resolve(args: &FitArgs) -> Result<FitSettings, Failure> {
-    if args.resume {
+fn resolve(args: &FitArgs, resume: bool) -> Result<FitSettings, Failure> {
+    if resume {
         let mut settings: FitSettings = read_settings(&args.out)?;
         if let Some(preset) = &args.preset
             && *preset != settings.preset
@@ -215,13 +252,13 @@ fn resolve(args: &FitArgs) -> Result<FitSettings, Failure> {
     Ok(settings)
 }
 
-/// Refuses to mix two fits in one folder.
-pub(super) fn prepare_run(args: &FitArgs) -> Result<(), Failure> {
-    if args.resume {
+/// Refuses to mix two fits in one folder. What is `ours` is a fit that was begun and left nothing to go on from.
+fn prepare_run(args: &FitArgs, resume: bool, ours: bool) -> Result<(), Failure> {
+    if resume {
         return Ok(());
     }
     let taken = args.out.join("settings.toml").exists() || args.out.join("checkpoints").exists();
-    if taken && !args.force {
+    if taken && !args.force && !ours {
         return Err(Failure::input(format!("{}: there is a run already", args.out.display()))
             .with_hint("go on with `--resume`, or replace it with `--force`"));
     }

@@ -3,7 +3,7 @@
 use risorius_console::{Console, Failure};
 use serde::Serialize;
 
-use super::fit::{FitArgs, TrainerFile, describe, prepare_run, read_settings};
+use super::fit::{FitArgs, OUTPUTS, TrainerFile, begin, describe, read_settings};
 use crate::brick::fit::{BrickSettings, fit};
 use crate::data::TrainData;
 
@@ -21,14 +21,19 @@ pub(super) fn run(args: &FitArgs, console: &Console) -> Result<(), Failure> {
         return Err(Failure::usage("`--preset` and `--rays` belong to `--field confies`"));
     }
     args.device.device()?;
-    let mut settings = resolve(args)?;
+    let mut settings = resolve(args, args.resume)?;
+    let (mut work, mut resume) = (None, args.resume);
     if !args.dry_run {
-        prepare_run(args)?;
+        let Some((running, goes_on)) = begin(args, &settings, console)? else { return Ok(()) };
+        if goes_on {
+            settings = resolve(args, true)?;
+        }
+        (work, resume) = (Some(running), goes_on);
     }
     let data = TrainData::load(&args.dataset, settings.image_scale, console)?;
     // Poses that come from a table of landmarks are never exact; a model of COLMAP's or a given one is.
     let from_head = data.extras().is_some_and(|e| e.method == risorius_formats::pose_report::PoseMethod::Head);
-    if !args.resume {
+    if !resume {
         settings.step.refine_cameras = from_head;
     }
     if args.dry_run {
@@ -48,15 +53,18 @@ pub(super) fn run(args: &FitArgs, console: &Console) -> Result<(), Failure> {
         console.finish(&plan, &human);
         return Ok(());
     }
-    let summary = fit(&data, &settings, &args.out, args.resume, console)?;
+    let Some(running) = work else { return Err(Failure::bug("a fit without a lock")) };
+    running.mark()?;
+    let summary = fit(&data, &settings, &args.out, resume, console)?;
+    running.finish(&OUTPUTS)?;
     console.finish(&summary, &describe(&summary));
     Ok(())
 }
 
 /// Command line, then the settings of the run to resume, then `risorius.toml`, then defaults.
-fn resolve(args: &FitArgs) -> Result<BrickSettings, Failure> {
-    let mut settings = if args.resume { read_settings(&args.out)? } else { BrickSettings::default() };
-    if !args.resume {
+fn resolve(args: &FitArgs, resume: bool) -> Result<BrickSettings, Failure> {
+    let mut settings = if resume { read_settings(&args.out)? } else { BrickSettings::default() };
+    if !resume {
         let file: TrainerFile = risorius_console::settings("trainer")?;
         settings.steps = file.fit.steps;
         settings.step.seed = file.fit.seed.unwrap_or(settings.step.seed);

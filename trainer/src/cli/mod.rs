@@ -8,12 +8,12 @@ mod render;
 mod transfer;
 mod view;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use clap::{Parser, Subcommand};
 use risorius_brick::Skips;
-use risorius_console::{Common, CommonArgs, Console, Failure};
+use risorius_console::{Common, CommonArgs, Console, Failure, Inputs};
 
 use crate::error::TrainerError;
 
@@ -73,7 +73,12 @@ struct DeviceArgs {
 }
 
 impl DeviceArgs {
-    fn device(&self) -> Result<Device, TrainerError> {
+    /// The device; one that this build lacks is no input's fault.
+    fn device(&self) -> Result<Device, Failure> {
+        self.find().map_err(|e| Failure::from(e).of_installation())
+    }
+
+    fn find(&self) -> Result<Device, TrainerError> {
         if let Some(threads) = self.threads {
             crate::kernel::set_threads(threads);
         }
@@ -137,6 +142,12 @@ fn parse_duration(text: &str) -> Result<f64, String> {
         Ok(n) if n.is_finite() && n > 0.0 => Ok(n * factor),
         _ => Err(format!("`{text}` is not a duration; write `90s`, `10m` or `1h`")),
     }
+}
+
+/// What an avatar is read from.
+fn run_inputs(inputs: Inputs, role: &str, run: &Path) -> Inputs {
+    let name = |file: &str| if role.is_empty() { file.to_owned() } else { format!("{role}/{file}") };
+    ["model.json", "model.safetensors"].iter().fold(inputs, |all, file| all.file(name(file), run.join(file)))
 }
 
 fn need(path: &PathBuf, what: &str) -> Result<(), TrainerError> {

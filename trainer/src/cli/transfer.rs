@@ -3,11 +3,11 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use risorius_console::{Console, Failure};
+use risorius_console::{AgainArgs, Console, Failure, Inputs, Running, Stage};
 use risorius_formats::pose_report::write_json;
 use risorius_formats::{Take, smooth};
 
-use super::{DeviceArgs, need};
+use super::{DeviceArgs, need, run_inputs};
 use crate::avatar::Avatar;
 use crate::jobs::render::Sink;
 use crate::jobs::transfer::{Driver, Named, Range, TransferSettings, transfer, transfer_views};
@@ -56,6 +56,8 @@ pub(super) struct TransferArgs {
     #[arg(long, value_name = "VIEWS.json", requires = "out", conflicts_with_all = ["video", "fps", "head"])]
     views: Option<PathBuf>,
     #[command(flatten)]
+    again: AgainArgs,
+    #[command(flatten)]
     device: DeviceArgs,
 }
 
@@ -85,6 +87,7 @@ pub(super) fn run(args: &TransferArgs, console: &Console) -> Result<(), Failure>
     for run in &args.run {
         need(run, "a run made by `trainer fit`")?;
     }
+    let Some(running) = begin(args, fps, smooth_secs, console)? else { return Ok(()) };
     let driver = match (&args.from, &args.curves) {
         (Some(take), _) => {
             Driver::of_take(Take::open(take)?, args.min_confidence.unwrap_or(0.8), smooth_secs, console)?
@@ -103,6 +106,7 @@ pub(super) fn run(args: &TransferArgs, console: &Console) -> Result<(), Failure>
         }
         let evaluation = transfer_views(avatar, &driver, range, list, folder, console)?;
         write_json(folder.join("eval.json"), &evaluation)?;
+        running.finish(&["eval.json"])?;
         let human = format!("mean PSNR {:.2} dB over {} views", evaluation.mean_psnr_db, evaluation.views.len());
         console.finish(&evaluation, &human);
         return Ok(());
@@ -115,6 +119,8 @@ pub(super) fn run(args: &TransferArgs, console: &Console) -> Result<(), Failure>
         ..Sink::default()
     };
     let summary = transfer(&avatars, &driver, &settings, &sink, console)?;
+    let pictures = pictures(args.out.as_deref());
+    running.finish(&pictures.iter().map(String::as_str).collect::<Vec<_>>())?;
     let mut human = format!(
         "{} pictures driven by {} AUs of {} frames, {:.2} s each",
         summary.pictures,
@@ -129,6 +135,45 @@ pub(super) fn run(args: &TransferArgs, console: &Console) -> Result<(), Failure>
     }
     console.finish(&summary, &human);
     Ok(())
+}
+
+/// Takes the lock of what is to be written; `None` if it is there already.
+fn begin(args: &TransferArgs, fps: f64, smooth_secs: f64, console: &Console) -> Result<Option<Running>, Failure> {
+    let asked = serde_json::json!({
+        "fps": fps,
+        "smooth_secs": smooth_secs,
+        "range": format!("{:?}", args.range.unwrap_or_default()),
+        "head": args.head,
+        "alone": args.alone,
+        "min_confidence": args.min_confidence,
+        "names": names(&args.run),
+        "video": args.video.is_some(),
+    });
+    let mut inputs = Inputs::default();
+    for (run, k) in args.run.iter().zip(1..) {
+        inputs = run_inputs(inputs, &format!("run {k}"), run);
+    }
+    if let Some(take) = &args.from {
+        inputs = inputs.file("take.toml", take.join("take.toml")).file("driver", take.join("track/openface.csv"));
+    }
+    for (role, path) in [("curves", &args.curves), ("views", &args.views)] {
+        if let Some(path) = path {
+            inputs = inputs.file(role, path);
+        }
+    }
+    let Some(result) = args.out.as_ref().or(args.video.as_ref()) else { return Err(Failure::usage("no result")) };
+    Stage::new("trainer transfer", result, &asked)?.begin(args.again, inputs, console)
+}
+
+/// By what a transfer is known to be whole: the pictures in the folder, or the video, which is the result itself. In
+/// folders of several avatars nothing is looked at, and the work is done again.
+fn pictures(out: Option<&Path>) -> Vec<String> {
+    let Some(out) = out else { return vec![String::new()] };
+    let entries = std::fs::read_dir(out).into_iter().flatten().flatten();
+    let names = entries.map(|e| e.file_name().to_string_lossy().into_owned());
+    let mut names: Vec<String> = names.filter(|n| Path::new(n).extension().is_some_and(|e| e == "png")).collect();
+    names.sort();
+    names
 }
 
 /// The last parts of the folders, told apart by a number where they are the same.
