@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use risorius_console::{Console, Failure};
+use risorius_formats::Reporter as _;
 use serde::{Deserialize, Serialize};
 
 use super::{DeviceArgs, need, parse_duration};
@@ -181,7 +182,7 @@ fn run_confies(args: &FitArgs, console: &Console) -> Result<(), Failure> {
         return Ok(());
     }
     let limits = Limits { budget_secs: args.budget };
-    let summary = fit::fit(&data, &settings, limits, &args.out, args.resume, &device, console)?;
+    let summary = fit::fit(&data, &settings, limits, &args.out, goes_on(args, console), &device, console)?;
     console.finish(&summary, &describe(&summary));
     Ok(())
 }
@@ -213,6 +214,15 @@ fn resolve(args: &FitArgs) -> Result<FitSettings, Failure> {
     settings.rays = args.rays.or(file.rays).unwrap_or(settings.rays);
     settings.image_scale = args.image_scale.or(file.image_scale).unwrap_or(settings.image_scale);
     Ok(settings)
+}
+
+/// Whether to go on from a checkpoint: a fit that ended before its first one is begun anew, with its own settings.
+pub(super) fn goes_on(args: &FitArgs, console: &Console) -> bool {
+    let has_checkpoint = !fit::checkpoint::list(&args.out).is_empty();
+    if args.resume && !has_checkpoint {
+        console.note(&format!("{}: no checkpoint yet: begun anew with the same settings", args.out.display()));
+    }
+    args.resume && has_checkpoint
 }
 
 /// Refuses to mix two fits in one folder.

@@ -3,7 +3,7 @@
 use risorius_console::{Console, Failure};
 use serde::Serialize;
 
-use super::fit::{FitArgs, TrainerFile, describe, prepare_run, read_settings};
+use super::fit::{FitArgs, TrainerFile, describe, goes_on, prepare_run, read_settings};
 use crate::brick::fit::{BrickSettings, fit};
 use crate::data::TrainData;
 
@@ -48,7 +48,7 @@ pub(super) fn run(args: &FitArgs, console: &Console) -> Result<(), Failure> {
         console.finish(&plan, &human);
         return Ok(());
     }
-    let summary = fit(&data, &settings, &args.out, args.resume, console)?;
+    let summary = fit(&data, &settings, &args.out, goes_on(args, console), console)?;
     console.finish(&summary, &describe(&summary));
     Ok(())
 }
