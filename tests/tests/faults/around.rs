@@ -33,7 +33,7 @@ fn files_that_change_or_vanish_while_they_are_read() {
     let remove = |path: &Path| fs::remove_file(path).unwrap();
     // The command, what happens to which file, and how long it runs before, at most.
     type Harm<'a> = (&'static str, &'static [&'static str], &'static str, &'a dyn Fn(&Path), u64);
-    let fit = "trainer -q fit dataset --out new --steps 30";
+    let fit = "trainer -q fit dataset --out new --steps 30 --set finest_level=64 --set expression_vertices=16";
     let harms: [Harm<'_>; 7] = [
         ("tracker -q run take --threads 1", &["take"], "take/video.mp4", &cut, 600),
         ("tracker -q run take --threads 1", &["take"], "take/frames.csv", &remove, 300),

@@ -104,7 +104,7 @@ fn torment(victim: &Victim, dice: &mut Dice) {
                 tally.late += 1;
                 // The undisturbed run may have been slowed down by others.
                 lasts = lasts.min(begun.elapsed());
-                assert!(files(dir.path()) == expected, "`{line}` after {kill} kills");
+                check_same(&line, &files(dir.path()), &expected);
                 dir = copy_of(victim.made, victim.given);
                 continue;
             }
@@ -116,14 +116,23 @@ fn torment(victim: &Victim, dice: &mut Dice) {
         let output = run(dir.path(), &line);
         let refused = said(&output);
         assert!(output.status.success() || refused.contains("already exists"), "`{line}` after kills: {refused}");
-        let found = files(dir.path());
-        let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
-        assert_eq!(names(&found), names(&expected), "after kills of `{line}`");
-        for (file, bytes) in &expected {
-            assert!(found[file] == *bytes, "{file} differs after kills of `{line}`");
-        }
+        check_same(&line, &files(dir.path()), &expected);
     }
     eprintln!("| `{}` | {} | {} | {:.2} |", victim.line, tally.kills, tally.late, lasts.as_secs_f64());
+}
+
+/// Checks that two runs left the same files, and nothing else.
+pub(crate) fn check_same(line: &str, found: &BTreeMap<String, Vec<u8>>, expected: &BTreeMap<String, Vec<u8>>) {
+    let names = |files: &BTreeMap<String, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
+    assert_eq!(names(found), names(expected), "what `{line}` left");
+    for (file, bytes) in expected {
+        let at = bytes.iter().zip(&found[file]).position(|(a, b)| a != b);
+        let text = |bytes: &[u8]| {
+            let from = at.unwrap_or(0).saturating_sub(60);
+            String::from_utf8_lossy(&bytes[from..bytes.len().min(from + 120)]).into_owned()
+        };
+        assert!(found[file] == *bytes, "{file} of `{line}` differs at {at:?}: {} | {}", text(&found[file]), text(bytes));
+    }
 }
 
 /// What lies there after a kill: files as they were before or of the undisturbed run and, hidden, what is not whole.
@@ -202,7 +211,7 @@ pub(crate) fn of_avatars() -> Vec<Victim> {
     let fit = |line: &str| Victim::new(Made::Run, &["dataset"], line).going_on("new/settings.toml", "--resume", FIT);
     let made_of_it = |line: &str| Victim::new(Made::Run, &["run", "dataset", "driver"], line);
     vec![
-        fit("trainer -q fit dataset --out new --steps 60 --checkpoint-every 20"),
+        fit("trainer -q fit dataset --out new --steps 60 --checkpoint-every 20 --set finest_level=64 --set expression_vertices=16"),
         fit("trainer -q fit dataset --out new --field confies --preset tiny --steps 60 --checkpoint-every 20"),
         made_of_it("trainer -q render run --orbit 12 --out pictures").going_on(
             "pictures/render.json",
@@ -256,7 +265,7 @@ fn a_killed_recording_becomes_a_take() {
     let (mut kills, mut before_it_began) = (0, 0);
     for round in 0..2 + rounds() {
         let line = "capture -q record --device synthetic:160x120@60 --warm-up 0ms --duration 3s --out take";
-        let life = Duration::from_secs_f64(if round == 0 { 1.6 } else { 0.1 + 2.4 * dice.roll() });
+        let life = Duration::from_secs_f64(if round == 0 { 0.2 } else { 1.2 + 1.5 * dice.roll() });
         let ended = kill_after(start(dir.path(), line, &log), life);
         assert!(ended.is_none(), "{}", fs::read_to_string(&log).unwrap());
         kills += 1;

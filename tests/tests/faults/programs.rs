@@ -33,7 +33,7 @@ fn a_colmap_that_is_missing_crashes_hangs_or_finds_nothing() {
         ("features crash", fake(&scratch.path().join_made("b"), "feature_extractor", "echo oops; kill -ABRT $$"), "oops"),
         ("matching fails", fake(&scratch.path().join_made("c"), "matches_importer", "echo no GPU >&2; exit 3"), "no GPU"),
         ("mapper hangs", fake(&scratch.path().join_made("d"), "mapper", "sleep 600"), "2 s"),
-        ("no model", fake(&scratch.path().join_made("e"), "mapper", "true"), "no model"),
+        ("no model", fake(&scratch.path().join_made("e"), "mapper", "true"), "no camera poses"),
         (
             "half a model",
             fake(

@@ -55,7 +55,7 @@ pub(crate) fn world(made: Made) -> PathBuf {
             &[
                 "capture -q record --input capture/driver.mp4 --out driver",
                 "tracker -q import driver --openface capture/driver_openface.csv",
-                "trainer -q fit dataset --out run --steps 60",
+                "trainer -q fit dataset --out run --steps 60 --set finest_level=64 --set expression_vertices=16",
             ],
         ),
     ];
@@ -64,6 +64,10 @@ pub(crate) fn world(made: Made) -> PathBuf {
         if !mark.exists() {
             for line in *lines {
                 succeed(&dir, line);
+            }
+            if *step == Made::Run {
+                // Hundreds of megabytes that nothing here needs, and that every copy would hold.
+                fs::remove_dir_all(dir.join("run/checkpoints")).unwrap();
             }
             fs::write(mark, "").unwrap();
         }
