@@ -211,8 +211,8 @@ pub(crate) fn of_avatars() -> Vec<Victim> {
     let fit = |line: &str| Victim::new(Made::Run, &["dataset"], line).going_on("new/settings.toml", "--resume", FIT);
     let made_of_it = |line: &str| Victim::new(Made::Run, &["run", "dataset", "driver"], line);
     vec![
-        fit("trainer -q fit dataset --out new --steps 60 --checkpoint-every 20 --set finest_level=64 --set expression_vertices=16"),
-        fit("trainer -q fit dataset --out new --field confies --preset tiny --steps 60 --checkpoint-every 20"),
+        fit("trainer -q fit dataset --out new --steps 60 --checkpoint-every 30 --set finest_level=64 --set expression_vertices=16"),
+        fit("trainer -q fit dataset --out new --field confies --preset tiny --steps 60 --checkpoint-every 30"),
         made_of_it("trainer -q render run --orbit 12 --out pictures").going_on(
             "pictures/render.json",
             "--resume",

@@ -160,7 +160,7 @@ fn lasting(path: &Path, bytes: Vec<u8>) -> Vec<u8> {
     match ending {
         "mp4" => vec![u8::from(!bytes.is_empty())],
         // Parameters have new identities in each process.
-        "bpk" => bytes.len().to_le_bytes().to_vec(),
+        "bpk" => vec![u8::from(!bytes.is_empty())],
         "log" => Vec::new(),
         "json" | "jsonl" => {
             let text = String::from_utf8_lossy(&bytes);

@@ -66,7 +66,7 @@ impl Writer {
                 bgr: Mat::default(),
                 padded: Mat::default(),
             }),
-            Err(message) => Err(fail(message)),
+            Err(message) => Err(no_room(&staging, &path).unwrap_or_else(|| fail(message))),
         }
     }
 
@@ -116,7 +116,8 @@ impl Writer {
             Container::NoIndex | Container::Other => 0,
         };
         if written != self.count as usize {
-            return Err(fail(format!("the encoder wrote {written} of {} frames", self.count)));
+            let message = format!("the encoder wrote {written} of {} frames", self.count);
+            return Err(no_room(&self.staging, &self.path).unwrap_or_else(|| fail(message)));
         }
         file.sync_all().map_err(wrap)?;
         fs::rename(self.staging.path(), &self.path).map_err(wrap)?;
@@ -129,6 +130,17 @@ impl Drop for Writer {
         // Closed before its file goes, with what is dropped next; after `finish` there is nothing to do.
         let _ = self.encoder.release();
     }
+}
+
+/// OpenCV does not say why it fails: whether the disk is full.
+fn no_room(staging: &Staging, path: &Path) -> Option<VideoError> {
+    use std::io::Write as _;
+    let probe = || -> std::io::Result<()> {
+        let mut file = File::options().append(true).open(staging.path())?;
+        file.write_all(&[0; 1 << 18])?;
+        file.sync_all()
+    };
+    probe().err().map(|e| FormatError::io(path, "write", &e).into())
 }
 
 fn open(path: &Path, width: u32, height: u32, fps: f64) -> Result<VideoWriter, String> {

@@ -33,11 +33,11 @@ struct Sizes {
 
 const QUICK: Sizes = Sizes {
     size: "96x160",
-    frames: [30, 90],
+    frames: [40, 200],
     chosen: [30, 60],
     steps: &[50, 100, 200, 400],
     varied_steps: 100,
-    samples: &[16_000, 32_000],
+    samples: &[4_000, 16_000],
     confies: &[20, 40],
     orbit: 12,
 };
@@ -334,7 +334,7 @@ impl<'a> Bench<'a> {
         let take = text(&self.made(&format!("take-aus-{count}")));
         let [video, model] = ["video.mp4", "truth_colmap"].map(|n| text(&world.capture.join(n)));
         child::run("capture", &["record", "--input", &video, "--out", &take], self.work)?;
-        let table = self.work.join("made-fewer.csv");
+        let table = self.work.join("fewer.csv");
         let source = world.capture.join("openface.csv");
         let all = std::fs::read_to_string(&source).map_err(|e| FormatError::io(&source, "read", &e))?;
         atomic::write_file(&table, fewer_aus(&all, count).as_bytes())?;
@@ -357,11 +357,11 @@ impl<'a> Bench<'a> {
                 let args = [&["render", run, "--orbit", &count_text, "--out", &out][..], more].concat();
                 let grows = [("pictures", f64::from(count))];
                 self.measure(&format!("render/{name}-{count}"), "trainer", &args, &grows)?;
-                let judged = text(&self.made(&format!("render-{name}-judged")));
-                let args = [&["eval", run, "--views", views, "--lpips", "none", "--out", &judged][..], more].concat();
-                let eval = child::run("trainer", &args, self.work)?;
-                self.error("PSNR, dB", number(&eval.document, &["mean_psnr_db"]));
             }
+            let judged = text(&self.made(&format!("render-{name}-judged")));
+            let args = [&["eval", run, "--views", views, "--lpips", "none", "--out", &judged][..], more].concat();
+            let eval = child::run("trainer", &args, self.work)?;
+            self.error("PSNR, dB", number(&eval.document, &["mean_psnr_db"]));
         }
         Ok(())
     }

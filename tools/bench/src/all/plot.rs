@@ -43,8 +43,11 @@ pub(crate) fn errors(report: &Report) -> Vec<Panel> {
     for row in &report.rows {
         let Some((what, error)) = &row.error else { continue };
         let stage = row.name.split('/').next().unwrap_or_default();
-        // Renders of one avatar differ by how it is drawn, fits by how long they were.
         let (title, line) = (format!("{stage}: error against time"), series(row));
+        // Fits whose other settings were varied all lie at one place of the line of steps.
+        if stage == "fit" && line != "steps" {
+            continue;
+        }
         let panel = match panels.iter_mut().position(|p| p.title == title) {
             Some(at) => &mut panels[at],
             None => {
@@ -122,7 +125,7 @@ pub(crate) fn svg(panels: &[Panel]) -> Result<String, String> {
         let root = SVGBackend::with_string(text, size).into_drawing_area();
         root.fill(&WHITE)?;
         for (area, panel) in root.split_evenly((rows, 2)).iter().zip(panels) {
-            if panel.log_y { logarithmic(area, panel)? } else { linear(area, panel)? }
+            lines(area, panel)?;
         }
         Ok(root.present()?)
     };
@@ -130,72 +133,52 @@ pub(crate) fn svg(panels: &[Panel]) -> Result<String, String> {
     Ok(text)
 }
 
-/// The smallest and largest of some numbers, with room around them.
-fn range(values: impl Iterator<Item = f64>, log: bool) -> (f64, f64) {
+/// The smallest and largest of some numbers, with room around them, more of it above.
+fn range(values: impl Iterator<Item = f64>, above: f64) -> (f64, f64) {
     let (mut low, mut high) = (f64::MAX, f64::MIN);
-    for v in values.filter(|v| v.is_finite() && (!log || *v > 0.0)) {
+    for v in values.filter(|v| v.is_finite()) {
         (low, high) = (low.min(v), high.max(v));
     }
     if low > high {
-        return if log { (0.1, 1.0) } else { (0.0, 1.0) };
+        return (0.0, 1.0);
     }
-    if log {
-        return (low / 1.6, high * 1.6);
-    }
-    let room = ((high - low) * 0.12).max(high.abs() * 0.02).max(1e-6);
-    (low - room, high + room)
+    let room = ((high - low) * 0.1).max(high.abs() * 0.02).max(0.03);
+    (low - room, high + room * (1.0 + 10.0 * above))
 }
 
-fn linear(area: &Area<'_>, panel: &Panel) -> Drawn {
-    let points = || panel.lines.iter().flat_map(|l| &l.points);
-    let (x0, x1) = range(points().map(|p| p.0), true);
-    let (y0, y1) = range(points().map(|p| p.1), false);
+/// Draws the lines of a panel. Powers of ten run along x, and along y where it says so: axes hold logarithms, so that a
+/// range of less than ten has labels too.
+fn lines(area: &Area<'_>, panel: &Panel) -> Drawn {
+    let height = |y: f64| if panel.log_y { y.max(1e-9).log10() } else { y };
+    let place = |p: &(f64, f64)| (p.0.max(1e-9).log10(), height(p.1));
+    let points = || panel.lines.iter().flat_map(|l| l.points.iter().map(place));
+    let (x0, x1) = range(points().map(|p| p.0), 0.0);
+    // The names stand above the lines.
+    let (y0, y1) = range(points().map(|p| p.1), 0.09 * panel.lines.len() as f64);
     let mut chart = ChartBuilder::on(area)
         .caption(&panel.title, ("sans-serif", 16))
         .margin(10)
         .x_label_area_size(36)
         .y_label_area_size(56)
-        .build_cartesian_2d((x0..x1).log_scale(), y0..y1)?;
-    chart.configure_mesh().x_desc(&panel.x).y_desc(&panel.y).x_label_formatter(&|v| short(*v)).draw()?;
-    for (line, colour) in panel.lines.iter().zip(COLOURS.iter().cycle()) {
-        chart
-            .draw_series(LineSeries::new(line.points.iter().copied(), colour.stroke_width(2)))?
-            .label(&line.name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 14, y)], colour.stroke_width(2)));
-        chart.draw_series(line.points.iter().map(|p| Circle::new(*p, 3, colour.filled())))?;
-    }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::LowerRight)
-        .background_style(WHITE.mix(0.8))
-        .border_style(BLACK.mix(0.3))
-        .draw()?;
-    Ok(())
-}
-
-fn logarithmic(area: &Area<'_>, panel: &Panel) -> Drawn {
-    let points = || panel.lines.iter().flat_map(|l| &l.points);
-    let (x0, x1) = range(points().map(|p| p.0), true);
-    let (y0, y1) = range(points().map(|p| p.1), true);
-    let mut chart = ChartBuilder::on(area)
-        .caption(&panel.title, ("sans-serif", 16))
-        .margin(10)
-        .x_label_area_size(36)
-        .y_label_area_size(56)
-        .build_cartesian_2d((x0..x1).log_scale(), (y0..y1).log_scale())?;
+        .build_cartesian_2d(x0..x1, y0..y1)?;
     chart
         .configure_mesh()
         .x_desc(&panel.x)
         .y_desc(&panel.y)
-        .x_label_formatter(&|v| short(*v))
-        .y_label_formatter(&|v| short(*v))
+        .x_labels(6)
+        .y_labels(7)
+        .max_light_lines(0)
+        .bold_line_style(BLACK.mix(0.12))
+        .x_label_formatter(&|v| short(10f64.powf(*v)))
+        .y_label_formatter(&|v| short(if panel.log_y { 10f64.powf(*v) } else { *v }))
         .draw()?;
     for (line, colour) in panel.lines.iter().zip(COLOURS.iter().cycle()) {
+        let points: Vec<(f64, f64)> = line.points.iter().map(place).collect();
         chart
-            .draw_series(LineSeries::new(line.points.iter().copied(), colour.stroke_width(2)))?
+            .draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2)))?
             .label(&line.name)
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 14, y)], colour.stroke_width(2)));
-        chart.draw_series(line.points.iter().map(|p| Circle::new(*p, 3, colour.filled())))?;
+        chart.draw_series(points.iter().map(|p| Circle::new(*p, 3, colour.filled())))?;
     }
     chart
         .configure_series_labels()
