@@ -4,13 +4,8 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use crate::staging::Staging;
 use crate::{ErrorKind, FormatError, Result};
-
-/// The sibling that holds a file or folder until it is whole. One name per process, so that a leftover is recognised.
-fn staging_path(path: &Path) -> PathBuf {
-    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    path.with_file_name(format!(".{name}.{}.part", std::process::id()))
-}
 
 fn create_parent(path: &Path) -> Result<()> {
     match path.parent() {
@@ -28,12 +23,28 @@ pub fn write_file(path: impl AsRef<Path>, bytes: &[u8]) -> Result<()> {
     file.commit()
 }
 
+/// Puts a file at `path` that `write` makes in a folder of its own: for writers that lay further files beside theirs.
+pub fn write_file_by<E: From<FormatError>>(
+    path: impl AsRef<Path>,
+    write: impl FnOnce(&Path) -> std::result::Result<(), E>,
+) -> std::result::Result<(), E> {
+    let path = path.as_ref();
+    let wrap = |e: io::Error| FormatError::io(path, "write", &e);
+    create_parent(path)?;
+    let staging = Staging::folder(path).map_err(wrap)?;
+    let file = staging.path().join(path.file_name().unwrap_or_default());
+    write(&file)?;
+    sync_entry(&file).map_err(wrap)?;
+    fs::rename(&file, path).map_err(wrap)?;
+    Ok(())
+}
+
 /// A file under construction. Dropped without [`commit`](Self::commit), it leaves nothing behind.
 #[derive(Debug)]
 pub struct AtomicFile {
     path: PathBuf,
-    staging: PathBuf,
     writer: Option<BufWriter<File>>,
+    staging: Staging,
 }
 
 impl AtomicFile {
@@ -41,14 +52,13 @@ impl AtomicFile {
     pub fn create(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_owned();
         create_parent(&path)?;
-        let staging = staging_path(&path);
-        let file = File::create(&staging).map_err(|e| FormatError::io(&path, "create", &e))?;
-        Ok(Self { path, staging, writer: Some(BufWriter::with_capacity(1 << 18, file)) })
+        let (staging, file) = Staging::file(&path, "").map_err(|e| FormatError::io(&path, "create", &e))?;
+        Ok(Self { path, writer: Some(BufWriter::with_capacity(1 << 18, file)), staging })
     }
 
     /// Where the file lies until it is committed, for writers that want a path of their own.
     pub fn staging_path(&self) -> &Path {
-        &self.staging
+        self.staging.path()
     }
 
     /// Flushes, syncs and renames the file into its place.
@@ -58,7 +68,7 @@ impl AtomicFile {
             let file = writer.into_inner().map_err(|e| wrap(e.into_error()))?;
             file.sync_all().map_err(wrap)?;
         }
-        fs::rename(&self.staging, &self.path).map_err(wrap)
+        fs::rename(self.staging.path(), &self.path).map_err(wrap)
     }
 }
 
@@ -75,18 +85,11 @@ impl Write for AtomicFile {
     }
 }
 
-impl Drop for AtomicFile {
-    fn drop(&mut self) {
-        // After a commit the staging file is gone and this finds nothing.
-        let _ = fs::remove_file(&self.staging);
-    }
-}
-
 /// A folder under construction. Dropped without [`commit`](Self::commit), it leaves nothing behind.
 #[derive(Debug)]
 pub struct AtomicDir {
     path: PathBuf,
-    staging: PathBuf,
+    staging: Staging,
 }
 
 impl AtomicDir {
@@ -105,45 +108,63 @@ impl AtomicDir {
         // A link stays a link: what it leads to is replaced.
         let path = if path.is_symlink() { fs::canonicalize(&path).unwrap_or(path) } else { path };
         create_parent(&path)?;
-        let staging = staging_path(&path);
-        if staging.exists() {
-            fs::remove_dir_all(&staging).map_err(|e| FormatError::io(&staging, "remove the leftover", &e))?;
-        }
-        fs::create_dir(&staging).map_err(|e| FormatError::io(&path, "create the folder", &e))?;
+        let staging = Staging::folder(&path).map_err(|e| FormatError::io(&path, "create the folder", &e))?;
         Ok(Self { path, staging })
     }
 
     /// The folder to fill.
     #[expect(clippy::misnamed_getters, reason = "until it is committed, the folder is the staging folder")]
     pub fn path(&self) -> &Path {
-        &self.staging
+        self.staging.path()
     }
 
-    /// Syncs all files and renames the folder into its place; an older folder there is replaced.
+    /// Syncs all files and renames the folder into its place; an older folder there is replaced, in one step where the
+    /// system can.
     pub fn commit(self) -> Result<()> {
         let wrap = |e: io::Error| FormatError::io(&self.path, "put in place", &e);
-        sync_folder(&self.staging).map_err(wrap)?;
-        let old = self.staging.with_extension("old");
+        let staging = self.staging.path();
+        sync_folder(staging).map_err(wrap)?;
         let replaces = self.path.exists();
-        if replaces {
+        let old = if replaces && exchange(staging, &self.path).is_ok() {
+            Some(staging.to_owned())
+        } else if replaces {
+            let old = self.staging.old();
+            // Others tell by the lock that the older folder is not a leftover yet.
+            let _lock = File::open(&self.path).ok().filter(|folder| folder.try_lock().is_ok());
             fs::rename(&self.path, &old).map_err(wrap)?;
-        }
-        if let Err(e) = fs::rename(&self.staging, &self.path) {
-            if replaces {
+            if let Err(e) = fs::rename(staging, &self.path) {
                 // Put the older folder back: nothing is lost on failure.
                 let _ = fs::rename(&old, &self.path);
+                return Err(wrap(e));
             }
-            return Err(wrap(e));
-        }
+            Some(old)
+        } else {
+            fs::rename(staging, &self.path).map_err(wrap)?;
+            None
+        };
         // From here on the new folder is in its place: what fails now is no failure of the work.
         if let Some(parent) = self.path.parent() {
             let _ = sync_entry(if parent.as_os_str().is_empty() { Path::new(".") } else { parent });
         }
-        if replaces {
-            fs::remove_dir_all(&old).map_err(|e| FormatError::io(&old, "remove the older folder", &e))?;
+        match old.map(|old| (fs::remove_dir_all(&old), old)) {
+            Some((Err(e), old)) if e.kind() != io::ErrorKind::NotFound => {
+                Err(FormatError::io(&old, "remove the older folder", &e))
+            }
+            _ => Ok(()),
         }
-        Ok(())
     }
+}
+
+/// Lets two folders change places in one step, so that there is a whole one at each moment.
+#[cfg(target_os = "linux")]
+fn exchange(a: &Path, b: &Path) -> io::Result<()> {
+    use rustix::fs::{CWD, RenameFlags, renameat_with};
+    Ok(renameat_with(CWD, a, CWD, b, RenameFlags::EXCHANGE)?)
+}
+
+#[cfg(not(target_os = "linux"))]
+fn exchange(_: &Path, _: &Path) -> io::Result<()> {
+    Err(io::ErrorKind::Unsupported.into())
 }
 
 /// Fails unless there is nothing at `path`, an empty folder, or a folder that one of the files in `marks` shows to be
@@ -195,12 +216,6 @@ fn sync_folder(dir: &Path) -> io::Result<()> {
 
 fn sync_entry(path: &Path) -> io::Result<()> {
     File::open(path)?.sync_all()
-}
-
-impl Drop for AtomicDir {
-    fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.staging);
-    }
 }
 
 #[cfg(test)]

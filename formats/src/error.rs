@@ -147,7 +147,10 @@ fn unwritable(doing: &str, source: &io::Error) -> (String, Option<&'static str>)
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
             ("no permission", "choose a folder that you may write to")
         }
-        io::ErrorKind::StorageFull => ("no space left on the disk", "free some disk space and run the command again"),
+        io::ErrorKind::DirectoryNotEmpty => {
+            ("something was put there meanwhile", "another command may be at work on the same; look at what is there")
+        }
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => ("no space left on the disk", "free some disk space and run the command again"),
         _ => return (format!("cannot {doing}: {source}"), None),
     };
     (format!("cannot {doing}: {reason}"), Some(hint))

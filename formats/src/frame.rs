@@ -57,7 +57,7 @@ pub struct FrameRecord {
     pub clipped_share: Option<f32>,
 }
 
-/// Parses `frames.csv`; extra columns are ignored, the index must count up from 0.
+/// Parses `frames.csv`; extra columns are ignored, the index must count up from 0, and time must not go back.
 pub fn parse_frames(bytes: &[u8]) -> Result<Vec<FrameRecord>> {
     if bytes.trim_ascii().is_empty() {
         return Err(FormatError::new(ErrorKind::Empty, "the table is empty"));
@@ -73,6 +73,13 @@ pub fn parse_frames(bytes: &[u8]) -> Result<Vec<FrameRecord>> {
         if row.index.0 as usize != frames.len() {
             let message = format!("expected frame {}, found {}", frames.len(), row.index.0);
             return Err(FormatError::new(ErrorKind::Inconsistent, message).at_line(line).in_column("index"));
+        }
+        if let Some(before) = frames.last().filter(|before| before.timestamp_nanos > row.timestamp_nanos) {
+            let message = format!("expected a time from {} on, found {}", before.timestamp_nanos, row.timestamp_nanos);
+            return Err(FormatError::new(ErrorKind::Inconsistent, message)
+                .at_line(line)
+                .in_column("timestamp_nanos")
+                .with_hint("a clock was set back while the frames were written down; make the take anew"));
         }
         frames.push(row);
     }
@@ -175,5 +182,9 @@ mod tests {
             "line 3: column `timestamp_nanos`: cannot use `x`: invalid digit found in string"
         );
         assert_eq!(error(b"index\n0\n"), "line 2: missing field `timestamp_nanos`");
+        assert_eq!(
+            with("1,-1,0,false,,,"),
+            "line 3: column `timestamp_nanos`: expected a time from 0 on, found -1"
+        );
     }
 }

@@ -45,6 +45,7 @@ pub mod run;
 pub mod scene;
 pub mod similarity;
 pub mod smooth;
+pub mod staging;
 pub mod take;
 pub mod track;
 pub mod views;

@@ -216,6 +216,7 @@ pub fn read_rgb(path: &Path) -> Result<RgbImage> {
     if !path.is_file() {
         return Err(risorius_formats::FormatError::new(risorius_formats::ErrorKind::Missing, "does not exist")
             .in_file(path)
+            .with_hint("something removed it: make the folder anew, or see `dataset verify` for what else is missing")
             .into());
     }
     let image = image::open(path).map_err(|e| TrainerError::Image { path: path.to_owned(), message: e.to_string() })?;

@@ -123,7 +123,10 @@ pub(crate) fn is_within(inner: &Path, outer: &Path) -> bool {
 
 /// Copies a file; the folder that it goes to is there.
 pub(crate) fn copy(from: &Path, to: &Path) -> Result<()> {
-    std::fs::copy(from, to).map_err(|e| FormatError::io(from, "copy", &e))?;
+    std::fs::copy(from, to).map_err(|e| match e.kind() {
+        std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => FormatError::io(to, "write", &e),
+        _ => FormatError::io(from, "copy", &e),
+    })?;
     Ok(())
 }
 

@@ -1,6 +1,5 @@
 //! Frames out, into an MP4 file.
 
-use std::ffi::OsString;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
@@ -10,6 +9,7 @@ use opencv::imgproc;
 use opencv::prelude::{VideoWriterTrait, VideoWriterTraitConst};
 use opencv::videoio::{self, VideoWriter};
 use risorius_formats::FormatError;
+use risorius_formats::staging::Staging;
 
 use crate::VideoError;
 use crate::mp4::{self, Container};
@@ -22,8 +22,9 @@ use crate::video::silence;
 #[derive(Debug)]
 pub struct Writer {
     path: PathBuf,
-    staging: PathBuf,
+    // Before the staging file: it closes it.
     encoder: VideoWriter,
+    staging: Staging,
     width: u32,
     height: u32,
     count: u32,
@@ -46,13 +47,15 @@ impl Writer {
             return Err(fail(format!("a frame rate of {fps} is not possible")));
         }
         silence();
-        let staging = std::path::absolute(staging_path(&path)).map_err(|e| FormatError::io(&path, "create", &e))?;
-        if let Some(parent) = staging.parent() {
+        let wrap = |e: std::io::Error| FormatError::io(&path, "create", &e);
+        let whole = std::path::absolute(&path).map_err(wrap)?;
+        if let Some(parent) = whole.parent() {
             fs::create_dir_all(parent).map_err(|e| FormatError::io(parent, "create the folder", &e))?;
         }
-        // Here the reason is known, such as a missing permission; OpenCV only says no.
-        File::create(&staging).map_err(|e| FormatError::io(&path, "create", &e))?;
-        match open(&staging, width.next_multiple_of(2), height.next_multiple_of(2), fps) {
+        // Here the reason is known, such as a missing permission; OpenCV only says no. It takes the container's kind
+        // from the name.
+        let (staging, _) = Staging::file(&whole, ".mp4").map_err(wrap)?;
+        match open(staging.path(), width.next_multiple_of(2), height.next_multiple_of(2), fps) {
             Ok(encoder) => Ok(Self {
                 path,
                 staging,
@@ -63,10 +66,7 @@ impl Writer {
                 bgr: Mat::default(),
                 padded: Mat::default(),
             }),
-            Err(message) => {
-                let _ = fs::remove_file(&staging);
-                Err(fail(message))
-            }
+            Err(message) => Err(no_room(&staging, &path).unwrap_or_else(|| fail(message))),
         }
     }
 
@@ -110,34 +110,37 @@ impl Writer {
         self.encoder.release().map_err(|e| fail(e.message))?;
         // OpenCV does not tell of a full disk: count what is there.
         let wrap = |e: std::io::Error| FormatError::io(&self.path, "write", &e);
-        let mut file = File::open(&self.staging).map_err(wrap)?;
+        let mut file = File::open(self.staging.path()).map_err(wrap)?;
         let written = match mp4::read(&mut file).map_err(wrap)? {
             Container::Indexed(timeline, ..) => timeline.nanos().len(),
             Container::NoIndex | Container::Other => 0,
         };
         if written != self.count as usize {
-            return Err(fail(format!("the encoder wrote {written} of {} frames", self.count)));
+            let message = format!("the encoder wrote {written} of {} frames", self.count);
+            return Err(no_room(&self.staging, &self.path).unwrap_or_else(|| fail(message)));
         }
         file.sync_all().map_err(wrap)?;
-        fs::rename(&self.staging, &self.path).map_err(wrap)?;
+        fs::rename(self.staging.path(), &self.path).map_err(wrap)?;
         Ok(())
     }
 }
 
 impl Drop for Writer {
     fn drop(&mut self) {
-        // After `finish` the staging file is gone and both find nothing to do.
+        // Closed before its file goes, with what is dropped next; after `finish` there is nothing to do.
         let _ = self.encoder.release();
-        let _ = fs::remove_file(&self.staging);
     }
 }
 
-/// The container's kind is taken from the name, so the temporary one ends in `.mp4` too.
-fn staging_path(path: &Path) -> PathBuf {
-    let mut name = OsString::from(".");
-    name.push(path.file_stem().unwrap_or_default());
-    name.push(format!(".{}.part.mp4", std::process::id()));
-    path.with_file_name(name)
+/// OpenCV does not say why it fails: whether the disk is full.
+fn no_room(staging: &Staging, path: &Path) -> Option<VideoError> {
+    use std::io::Write as _;
+    let probe = || -> std::io::Result<()> {
+        let mut file = File::options().append(true).open(staging.path())?;
+        file.write_all(&[0; 1 << 18])?;
+        file.sync_all()
+    };
+    probe().err().map(|e| FormatError::io(path, "write", &e).into())
 }
 
 fn open(path: &Path, width: u32, height: u32, fps: f64) -> Result<VideoWriter, String> {

@@ -48,6 +48,9 @@ impl Runtime {
         };
         let fail = |message: String| TrackerError::Runtime { path: path.clone(), message: first_line(&message) };
         let path = std::path::absolute(path).map_err(|e| fail(e.to_string()))?;
+        if is_cut(&path).map_err(|e| fail(e.to_string()))? {
+            return Err(fail("it is not whole, as after a download that broke off".to_owned()));
+        }
         let builder = ort::init_from(&path).map_err(|e| fail(e.to_string()))?;
         let environment = builder.with_telemetry(false).build().map_err(|e| fail(e.to_string()))?;
         // Its warnings about graphs are not for users; errors come back as such.
@@ -55,6 +58,18 @@ impl Runtime {
         *loaded = Some(environment.clone());
         Ok(Self { environment })
     }
+}
+
+/// Whether an ELF library lacks its end, where its section headers lie. The system's loader maps what is missing and
+/// ends the whole process when it is touched.
+fn is_cut(path: &Path) -> std::io::Result<bool> {
+    use std::io::Read as _;
+    let mut file = std::fs::File::open(path)?;
+    let mut head = [0; 64];
+    let is_elf64 = file.read_exact(&mut head).is_ok() && head.starts_with(b"\x7fELF\x02\x01");
+    let number = |at: usize, bytes: usize| (0..bytes).rev().fold(0u64, |n, i| n << 8 | u64::from(head[at + i]));
+    let end = number(40, 8).saturating_add(number(58, 2) * number(60, 2));
+    Ok(is_elf64 && end > file.metadata()?.len())
 }
 
 /// A network that is ready to run, on the thread that calls it.

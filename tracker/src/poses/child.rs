@@ -45,7 +45,9 @@ impl Runner<'_> {
         let words: Vec<_> = args.iter().map(|a| a.to_string_lossy()).collect();
         writeln!(log, "\n$ {} {step} {}", self.program.display(), words.join(" ")).map_err(io)?;
         let start = log.metadata().map_err(io)?.len();
-        let child = Command::new(self.program)
+        let mut command = Command::new(self.program);
+        end_with_us(&mut command);
+        let child = command
             .arg(step)
             .args(args)
             // Builds with a window system must not look for a screen.
@@ -106,6 +108,28 @@ impl Runner<'_> {
         })
     }
 }
+
+/// Has the system end the child with this process, should it be killed: a COLMAP that goes on alone would write into the
+/// database of the run that follows.
+#[cfg(target_os = "linux")]
+fn end_with_us(command: &mut Command) {
+    use std::os::unix::process::CommandExt as _;
+    let die = || {
+        // SAFETY: between fork and exec only calls that are safe in signal handlers are allowed; this is one system call
+        // with two numbers, which touches no memory.
+        #[expect(unsafe_code, reason = "the standard library has no safe form of it")]
+        let failed = unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) } != 0;
+        if failed { Err(std::io::Error::last_os_error()) } else { Ok(()) }
+    };
+    // SAFETY: `die` allocates nothing, takes no lock and returns.
+    #[expect(unsafe_code, reason = "the standard library has no safe form of it")]
+    unsafe {
+        command.pre_exec(die);
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+fn end_with_us(_: &mut Command) {}
 
 /// Kills the child when it goes out of scope before its end.
 struct Guard(Child);

@@ -230,22 +230,20 @@ pub fn write(
         arrays.push(("plate".to_owned(), Array::Bytes(&plate.rgb, [plate.rgb.len()])));
     }
     arrays.extend(more.iter().map(|(name, values)| ((*name).to_owned(), Array::Floats(values, [values.len()]))));
-    let file = atomic::AtomicFile::create(path)?;
     let io = |e: std::io::Error| FormatError::io(path, "write", &e);
-    safetensors::serialize_to_file(arrays, None, file.staging_path()).map_err(|e| match e {
-        safetensors::SafeTensorError::IoError(e) => io(e).into(),
-        other => damaged(path, &other),
-    })?;
-    // The crate puts a private file of its own in the place of ours: open it to everyone, and see it on the disk.
-    let written = std::fs::File::options().write(true).open(file.staging_path()).map_err(io)?;
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt as _;
-        written.set_permissions(std::fs::Permissions::from_mode(0o644)).map_err(io)?;
-    }
-    written.sync_all().map_err(io)?;
-    file.commit()?;
-    Ok(())
+    // The crate writes a private file of its own beside ours first, which would stay behind a killed process.
+    atomic::write_file_by(path, |staged| {
+        safetensors::serialize_to_file(arrays, None, staged).map_err(|e| match e {
+            safetensors::SafeTensorError::IoError(e) => io(e).into(),
+            other => damaged(path, &other),
+        })?;
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt as _;
+            std::fs::set_permissions(staged, std::fs::Permissions::from_mode(0o644)).map_err(io)?;
+        }
+        Ok(())
+    })
 }
 
 /// A model read back, with its plate and the other floats that were asked for.

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use risorius_console::{AgainArgs, Console, Failure, Inputs, Running, Stage};
+use risorius_formats::Reporter as _;
 use serde::{Deserialize, Serialize};
 
 use super::{DeviceArgs, need, parse_duration};
@@ -171,15 +172,15 @@ pub(super) fn begin(
     let inputs = Inputs::default().folder("dataset", &args.dataset, |name| !name.starts_with("report/"));
     let Some(running) = stage.begin(args.again, inputs, console)? else { return Ok(None) };
     let begun = args.again.if_changed && running.is_unfinished();
-    let checkpoints = std::fs::read_dir(args.out.join("checkpoints"));
-    let can_go_on = checkpoints.is_ok_and(|entries| {
-        entries.flatten().any(|e| e.path().is_dir() && !e.file_name().to_string_lossy().starts_with('.'))
-    });
-    let resume = args.resume || (begun && can_go_on);
+    // A fit that ended before its first checkpoint is begun anew, with its own settings.
+    let can_go_on = !fit::checkpoint::list(&args.out).is_empty();
+    let resume = (args.resume || begun) && can_go_on;
     if resume && !args.resume {
         console.say(&format!("{}: goes on from its newest checkpoint", args.out.display()));
+    } else if args.resume && !resume {
+        console.note(&format!("{}: no checkpoint yet: begun anew with the same settings", args.out.display()));
     }
-    prepare_run(args, resume, begun)?;
+    prepare_run(args, args.resume || resume, begun)?;
     Ok(Some((running, resume)))
 }
 

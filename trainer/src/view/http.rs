@@ -113,39 +113,23 @@ impl<'a> Site<'a> {
         self.pictures
     }
 
-    /// Answers one request; a browser that has gone away is no error.
-    pub(super) fn answer(&mut self, mut request: Request, reporter: &dyn Reporter) {
-        let (status, kind, body, more) = self.route(&mut request, reporter);
-        let mut response = Response::from_data(body).with_status_code(status);
-        let fixed = [
-            ("Content-Type", kind),
-            ("Cache-Control", "no-store"),
-            ("X-Content-Type-Options", "nosniff"),
-            ("X-Frame-Options", "DENY"),
-            ("Referrer-Policy", "no-referrer"),
-            // Nothing is loaded from elsewhere; curves of the user's files are read as data.
-            ("Content-Security-Policy", "default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'"),
-        ];
-        let all = fixed.iter().map(|(k, v)| (*k, (*v).to_owned())).chain(more);
-        for (name, value) in all {
-            if let Ok(header) = Header::from_bytes(name.as_bytes(), value.as_bytes()) {
-                response.add_header(header);
-            }
-        }
-        let _ = request.respond(response);
+    /// Who is let in.
+    pub(super) fn door(&self) -> Door {
+        Door { token: self.token.clone(), port: self.port }
     }
 
-    fn route(&mut self, request: &mut Request, reporter: &dyn Reporter) -> Answer {
-        if !self.is_from_here(request) {
-            return text(403, "only pages of this server are answered");
-        }
-        let url = request.url().to_owned();
-        let path = url.split(['?', '#']).next().unwrap_or_default();
-        // Without the token there is nothing, not even a hint.
-        let Some(path) = path.strip_prefix('/').and_then(|p| p.strip_prefix(self.token.as_str())) else {
-            return text(404, "nothing here; open the address that `trainer view` printed");
+    /// Answers one request; a browser that has gone away is no error, and one that reads slowly is not waited for.
+    pub(super) fn answer(&mut self, received: Received, reporter: &dyn Reporter) {
+        let Received { request, path, body } = received;
+        let answer = match body {
+            Ok(body) => self.route(request.method(), &path, &body, reporter),
+            Err(answer) => answer,
         };
-        match (request.method(), path) {
+        std::thread::spawn(move || respond(request, answer));
+    }
+
+    fn route(&mut self, method: &Method, path: &str, body: &[u8], reporter: &dyn Reporter) -> Answer {
+        match (method, path) {
             (Method::Get, "/" | "/index.html") => (200, "text/html; charset=utf-8", PAGE.into(), Vec::new()),
             (Method::Get, "/style.css") => (200, "text/css; charset=utf-8", STYLE.into(), Vec::new()),
             (Method::Get, "/info.json") => json(&self.info()),
@@ -153,22 +137,11 @@ impl<'a> Site<'a> {
                 Some((_, script)) => (200, "text/javascript; charset=utf-8", (*script).into(), Vec::new()),
                 None => text(404, "nothing here"),
             },
-            (Method::Post, "/frame") => self.frame(request, reporter),
-            (Method::Post, "/curves") => read_curves(request, reporter),
-            (Method::Post, "/path") => self.save_path(request),
+            (Method::Post, "/frame") => self.frame(body, reporter),
+            (Method::Post, "/curves") => read_curves(body, reporter),
+            (Method::Post, "/path") => self.save_path(body),
             _ => text(404, "nothing here"),
         }
-    }
-
-    /// Whether the request names this server as its host and, if it says where it comes from, comes from its pages.
-    fn is_from_here(&self, request: &Request) -> bool {
-        let header = |name: &'static str| {
-            request.headers().iter().find(|h| h.field.equiv(name)).map(|h| h.value.as_str().to_ascii_lowercase())
-        };
-        let mine = ["127.0.0.1", "localhost"].map(|host| format!("{host}:{}", self.port));
-        let host = header("Host").unwrap_or_default();
-        let origin = header("Origin");
-        mine.contains(&host) && origin.is_none_or(|o| mine.iter().any(|m| o == format!("http://{m}")))
     }
 
     fn info(&self) -> Info<'_> {
@@ -196,12 +169,8 @@ impl<'a> Site<'a> {
         }
     }
 
-    fn frame(&mut self, request: &mut Request, reporter: &dyn Reporter) -> Answer {
-        let body = match body(request) {
-            Ok(body) => body,
-            Err(answer) => return answer,
-        };
-        let mut wanted: FrameRequest = match serde_json::from_slice(&body) {
+    fn frame(&mut self, body: &[u8], reporter: &dyn Reporter) -> Answer {
+        let mut wanted: FrameRequest = match serde_json::from_slice(body) {
             Ok(wanted) => wanted,
             Err(e) => return text(400, &format!("the request is not understood: {e}")),
         };
@@ -233,12 +202,8 @@ impl<'a> Site<'a> {
     }
 
     /// Keeps a camera path in the run's folder, under a name of the server's own making.
-    fn save_path(&self, request: &mut Request) -> Answer {
-        let body = match body(request) {
-            Ok(body) => body,
-            Err(answer) => return answer,
-        };
-        let path: CameraPath = match serde_json::from_slice(&body) {
+    fn save_path(&self, body: &[u8]) -> Answer {
+        let path: CameraPath = match serde_json::from_slice(body) {
             Ok(path) => path,
             Err(e) => return text(400, &format!("the path is not understood: {e}")),
         };
@@ -257,14 +222,85 @@ impl<'a> Site<'a> {
     }
 }
 
-fn read_curves(request: &mut Request, reporter: &dyn Reporter) -> Answer {
-    match body(request).map(|body| Curves::parse(&body, reporter)) {
-        Ok(Ok(curves)) => json(&CurvesDocument::new("curves".to_owned(), &curves)),
-        Ok(Err(e)) => {
+/// Tells who may come in by token and headers.
+#[derive(Clone, Debug)]
+pub(super) struct Door {
+    token: String,
+    port: u16,
+}
+
+/// A request of one who may come in.
+pub(super) struct Received {
+    request: Request,
+    /// What follows the token.
+    path: String,
+    body: std::result::Result<Vec<u8>, Answer>,
+}
+
+impl Door {
+    /// Reads a request to its end, or turns it away.
+    pub(super) fn receive(&self, mut request: Request) -> Option<Received> {
+        match self.path(&request) {
+            Ok(path) => {
+                let body = body(&mut request);
+                Some(Received { request, path, body })
+            }
+            Err(answer) => {
+                respond(request, answer);
+                None
+            }
+        }
+    }
+
+    fn path(&self, request: &Request) -> std::result::Result<String, Answer> {
+        if !self.is_from_here(request) {
+            return Err(text(403, "only pages of this server are answered"));
+        }
+        let path = request.url().split(['?', '#']).next().unwrap_or_default();
+        // Without the token there is nothing, not even a hint.
+        let path = path.strip_prefix('/').and_then(|p| p.strip_prefix(self.token.as_str()));
+        path.map(str::to_owned).ok_or_else(|| text(404, "nothing here; open the address that `trainer view` printed"))
+    }
+
+    /// Whether the request names this server as its host and, if it says where it comes from, comes from its pages.
+    fn is_from_here(&self, request: &Request) -> bool {
+        let header = |name: &'static str| {
+            request.headers().iter().find(|h| h.field.equiv(name)).map(|h| h.value.as_str().to_ascii_lowercase())
+        };
+        let mine = ["127.0.0.1", "localhost"].map(|host| format!("{host}:{}", self.port));
+        let host = header("Host").unwrap_or_default();
+        let origin = header("Origin");
+        mine.contains(&host) && origin.is_none_or(|o| mine.iter().any(|m| o == format!("http://{m}")))
+    }
+}
+
+fn respond(request: Request, (status, kind, body, more): Answer) {
+    let mut response = Response::from_data(body).with_status_code(status);
+    let fixed = [
+        ("Content-Type", kind),
+        ("Cache-Control", "no-store"),
+        ("X-Content-Type-Options", "nosniff"),
+        ("X-Frame-Options", "DENY"),
+        ("Referrer-Policy", "no-referrer"),
+        // Nothing is loaded from elsewhere; curves of the user's files are read as data.
+        ("Content-Security-Policy", "default-src 'self'; img-src 'self' blob: data:; frame-ancestors 'none'"),
+    ];
+    let all = fixed.iter().map(|(k, v)| (*k, (*v).to_owned())).chain(more);
+    for (name, value) in all {
+        if let Ok(header) = Header::from_bytes(name.as_bytes(), value.as_bytes()) {
+            response.add_header(header);
+        }
+    }
+    let _ = request.respond(response);
+}
+
+fn read_curves(body: &[u8], reporter: &dyn Reporter) -> Answer {
+    match Curves::parse(body, reporter) {
+        Ok(curves) => json(&CurvesDocument::new("curves".to_owned(), &curves)),
+        Err(e) => {
             let hint = risorius_formats::Hint::hint(&e).map_or_else(String::new, |h| format!("; {h}"));
             text(400, &format!("{e}{hint}"))
         }
-        Err(answer) => answer,
     }
 }
 

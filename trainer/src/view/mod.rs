@@ -17,6 +17,8 @@ mod scene;
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
 use std::time::Duration;
 
 use risorius_formats::Reporter;
@@ -74,19 +76,56 @@ impl<'a> Viewer<'a> {
     }
 
     /// Answers until the user stops it; gives the number of pictures that were rendered.
-    pub fn serve(mut self, reporter: &dyn Reporter) -> Result<u64> {
-        while !reporter.cancelled() {
-            match self.server.recv_timeout(PATIENCE) {
-                Ok(Some(request)) => self.site.answer(request, reporter),
-                Ok(None) => {}
-                Err(e) => {
-                    let message = format!("the server stopped: {e}");
-                    return Err(TrainerError::Setting { message, hint: "start `trainer view` again".to_owned() });
+    pub fn serve(self, reporter: &dyn Reporter) -> Result<u64> {
+        let Self { server, mut site } = self;
+        let door = site.door();
+        let (sender, whole) = mpsc::channel();
+        let stopped = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            let listener = scope.spawn(|| listen(&server, &door, sender, &stopped));
+            while !reporter.cancelled() {
+                match whole.recv_timeout(PATIENCE) {
+                    Ok(received) => site.answer(received, reporter),
+                    Err(mpsc::RecvTimeoutError::Timeout) => {}
+                    // The listener has ended, which it does not do by itself.
+                    Err(mpsc::RecvTimeoutError::Disconnected) => break,
                 }
             }
-        }
-        Ok(self.site.pictures())
+            stopped.store(true, Ordering::Relaxed);
+            // A panic over there is a bug that goes on here.
+            listener.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        })?;
+        Ok(site.pictures())
     }
+}
+
+/// Hands on requests once they are whole. Each is waited for on a thread of its own, so that a client that stalls holds
+/// nobody up.
+fn listen(
+    server: &tiny_http::Server,
+    door: &http::Door,
+    whole: mpsc::Sender<http::Received>,
+    stopped: &AtomicBool,
+) -> Result<()> {
+    while !stopped.load(Ordering::Relaxed) {
+        match server.recv_timeout(PATIENCE) {
+            Ok(Some(request)) => {
+                let (door, whole) = (door.clone(), whole.clone());
+                std::thread::spawn(move || {
+                    if let Some(received) = door.receive(request) {
+                        // Nobody is there any more when the viewer was stopped.
+                        let _ = whole.send(received);
+                    }
+                });
+            }
+            Ok(None) => {}
+            Err(e) => {
+                let message = format!("the server stopped: {e}");
+                return Err(TrainerError::Setting { message, hint: "start `trainer view` again".to_owned() });
+            }
+        }
+    }
+    Ok(())
 }
 
 /// 128 random bits as text.

@@ -15,7 +15,6 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use risorius_formats::{FormatError, Reporter, Warning};
 use serde::{Deserialize, Serialize};
 
-use super::leftovers;
 use crate::Failure;
 
 /// How often an owner writes itself down again.
@@ -86,7 +85,6 @@ impl Lock {
                     if let Some(owner) = died {
                         let message = format!("{}: takes over from {}, which died", result.display(), owner.in_words());
                         reporter.warn(Warning::new("stale-lock", message));
-                        leftovers::clear(&real, owner.pid);
                     }
                     let beat = file.try_clone().ok().and_then(|file| heartbeat(file, stage));
                     return Ok(Some(Self { path, file, beat, made }));
@@ -286,20 +284,12 @@ mod tests {
         let result = dir.path().join("track");
         let dead = Owner { stage: "tracker run".to_owned(), host: host(), pid: 4_000_000, since_unix_secs: 0 };
         fs::write(dir.path().join(".track.lock"), serde_json::to_string(&dead).unwrap()).unwrap();
-        // What it was making, and the result that it had put aside.
-        fs::create_dir(dir.path().join(".track.4000000.part")).unwrap();
-        fs::create_dir(dir.path().join(".track.4000000.old")).unwrap();
-        fs::write(dir.path().join(".track.4000000.old/kept"), "x").unwrap();
-        fs::write(dir.path().join(".tracks.4000000.part"), "another's").unwrap();
-        fs::write(dir.path().join(".track.4000000.old/.model.4000000.part"), "half").unwrap();
-        fs::write(dir.path().join(".track.4000000.old/.model.4.part"), "another's").unwrap();
         let heard = Collected::default();
         let lock = Lock::take(&result, "tracker run", false, &heard).unwrap();
         let warnings = heard.warnings();
         assert!(warnings[0].message.contains("takes over from `tracker run` (process 4000000 on"), "{warnings:?}");
-        assert_eq!(entries(&result), [".model.4.part", "kept"]);
         drop(lock);
-        assert_eq!(entries(dir.path()), [".tracks.4000000.part", "track"]);
+        assert!(entries(dir.path()).is_empty());
     }
 
     #[test]

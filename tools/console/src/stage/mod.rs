@@ -9,7 +9,6 @@
 //! TAKE/track/stage.json   what it was made of
 //! ```
 
-mod leftovers;
 mod lock;
 mod record;
 

@@ -1,0 +1,130 @@
+//! What costs more than in a baseline, in instructions where both counted them, else in CPU time; never on the wall.
+
+use std::path::Path;
+
+use risorius_console::Failure;
+use risorius_formats::pose_report::json_error;
+use risorius_formats::{FormatError, atomic};
+
+use crate::{Report, Row};
+
+/// Instructions hardly vary: threads that wait for each other, addresses that hash differently.
+const INSTRUCTION_SLACK: f64 = 1.05;
+/// Commands below this cost are mostly the program's start.
+const LEAST_CPU_SECS: f64 = 0.15;
+/// Memory may grow by this factor and this much, MiB, before it is named.
+const MEMORY_SLACK: (f64, f64) = (1.25, 32.0);
+
+/// The outcome of a comparison.
+#[derive(Debug, Default)]
+pub(crate) struct Verdict {
+    /// What costs more.
+    pub(crate) dearer: Vec<String>,
+    /// What costs less.
+    cheaper: Vec<String>,
+    /// What cannot be compared.
+    alone: Vec<String>,
+    compared: usize,
+}
+
+impl Verdict {
+    /// For people.
+    pub(crate) fn words(&self) -> String {
+        let mut lines = vec![format!("compared with the baseline: {} commands", self.compared)];
+        lines.extend(self.dearer.iter().map(|s| format!("DEARER   {s}")));
+        lines.extend(self.cheaper.iter().map(|s| format!("cheaper  {s}")));
+        lines.extend(self.alone.iter().map(|s| format!("alone    {s}")));
+        if self.dearer.is_empty() {
+            lines.push("nothing has become dearer".to_owned());
+        }
+        lines.join("\n")
+    }
+}
+
+/// Compares each command with that of the same name.
+pub(crate) fn compare(now: &Report, before: &Report, slack: f64) -> Verdict {
+    let mut verdict = Verdict::default();
+    for row in &now.rows {
+        match before.rows.iter().find(|b| b.name == row.name) {
+            Some(old) => {
+                verdict.compared += 1;
+                one(row, old, slack, &mut verdict);
+            }
+            None => verdict.alone.push(format!("{}: not in the baseline", row.name)),
+        }
+    }
+    for old in before.rows.iter().filter(|old| !now.rows.iter().any(|row| row.name == old.name)) {
+        verdict.alone.push(format!("{}: only in the baseline", old.name));
+    }
+    verdict
+}
+
+fn one(row: &Row, old: &Row, slack: f64, verdict: &mut Verdict) {
+    let (what, ratio, slack) = match (row.instructions, old.instructions) {
+        (Some(new), Some(old)) => ("instructions", new as f64 / old.max(1) as f64, INSTRUCTION_SLACK),
+        _ if row.cpu_secs.max(old.cpu_secs) < LEAST_CPU_SECS => ("CPU time", 1.0, slack),
+        _ => ("CPU time", row.cost / old.cost.max(1e-9), slack),
+    };
+    if ratio > slack {
+        verdict.dearer.push(format!("{}: {ratio:.2} times the {what} ({})", row.name, row.command));
+    } else if ratio < 1.0 / slack {
+        verdict.cheaper.push(format!("{}: {ratio:.2} times the {what}", row.name));
+    }
+    let (factor, more) = MEMORY_SLACK;
+    if row.peak_mib > old.peak_mib * factor + more {
+        verdict.dearer.push(format!("{}: {:.0} MiB of memory, {:.0} before", row.name, row.peak_mib, old.peak_mib));
+    }
+}
+
+/// Reads a baseline.
+pub(crate) fn read(path: &Path) -> Result<Report, Failure> {
+    let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, "read", &e))?;
+    Ok(serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(path))?)
+}
+
+/// Writes a baseline.
+pub(crate) fn write(report: &Report, path: &Path) -> Result<(), Failure> {
+    let text = serde_json::to_string_pretty(report).map_err(|e| json_error(&e).in_file(path))?;
+    Ok(atomic::write_file(path, (text + "\n").as_bytes())?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(name: &str, cost: f64, instructions: Option<u64>) -> Row {
+        Row { name: name.to_owned(), cpu_secs: 2.0, cost, peak_mib: 100.0, instructions, ..Row::default() }
+    }
+
+    fn report(rows: Vec<Row>) -> Report {
+        Report {
+            version: 1,
+            processor: String::new(),
+            threads: 2,
+            unit_cpu_secs: 1.0,
+            floor: (1.0, 1.0),
+            quick: true,
+            rows,
+        }
+    }
+
+    #[test]
+    fn what_is_dearer_is_named_by_what_was_counted() {
+        let before = report(vec![row("a", 4.0, None), row("b", 4.0, Some(1000)), row("c", 4.0, None)]);
+        let same = compare(&before, &before, 1.5);
+        assert!(same.dearer.is_empty() && same.compared == 3);
+        // The clock says twice as much of `b`, but instructions say the same; `a` is within the slack.
+        let mut more = row("d", 4.0, None);
+        more.peak_mib = 300.0;
+        let now = report(vec![row("a", 5.5, None), row("b", 8.0, Some(1010)), row("c", 6.5, None), more.clone()]);
+        let verdict = compare(&now, &before, 1.5);
+        assert_eq!(verdict.dearer.len(), 1, "{verdict:?}");
+        assert!(verdict.dearer[0].starts_with("c: 1.62 times the CPU time"));
+        assert_eq!(verdict.alone, ["d: not in the baseline"]);
+        let now = report(vec![row("b", 4.0, Some(1100)), Row { name: "a".to_owned(), ..more }]);
+        let verdict = compare(&now, &before, 1.5);
+        assert_eq!(verdict.dearer.len(), 2, "{verdict:?}");
+        assert!(verdict.dearer[0].starts_with("b: 1.10 times the instructions"));
+        assert!(verdict.dearer[1].contains("300 MiB"));
+    }
+}
