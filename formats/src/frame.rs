@@ -57,6 +57,9 @@ pub struct FrameRecord {
     pub clipped_share: Option<f32>,
 }
 
+/// Times beyond a year are damage; differences of those that are left fit into their type.
+const LATEST_NANOS: u64 = 366 * 86_400 * 1_000_000_000;
+
 /// Parses `frames.csv`; extra columns are ignored, the index must count up from 0.
 pub fn parse_frames(bytes: &[u8]) -> Result<Vec<FrameRecord>> {
     if bytes.trim_ascii().is_empty() {
@@ -73,6 +76,10 @@ pub fn parse_frames(bytes: &[u8]) -> Result<Vec<FrameRecord>> {
         if row.index.0 as usize != frames.len() {
             let message = format!("expected frame {}, found {}", frames.len(), row.index.0);
             return Err(FormatError::new(ErrorKind::Inconsistent, message).at_line(line).in_column("index"));
+        }
+        if row.timestamp_nanos.unsigned_abs() > LATEST_NANOS {
+            let message = format!("`{}` is no time of a recording", row.timestamp_nanos);
+            return Err(FormatError::new(ErrorKind::Limits, message).at_line(line).in_column("timestamp_nanos"));
         }
         frames.push(row);
     }

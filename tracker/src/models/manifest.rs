@@ -3,7 +3,7 @@
 use serde::Deserialize;
 
 use risorius_formats::au::OPENFACE_INTENSITIES;
-use risorius_formats::{ActionUnit, ErrorKind, FormatError};
+use risorius_formats::{ActionUnit, ErrorKind, FormatError, package};
 
 /// The layout of the manifest that this program knows.
 pub const VERSION: u32 = 1;
@@ -196,6 +196,9 @@ impl Manifest {
         if self.version != VERSION {
             let message = format!("version {} is not known to this program, which reads {VERSION}", self.version);
             return Err(FormatError::new(ErrorKind::Unsupported, message));
+        }
+        for (file, _) in self.files() {
+            package::check_relative(file)?;
         }
         let (d, l) = (&self.detector, &self.landmarks);
         for (table, width, height) in [("detector", d.width, d.height), ("landmarks", l.width, l.height)] {
