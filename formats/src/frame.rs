@@ -81,6 +81,15 @@ pub fn parse_frames(bytes: &[u8]) -> Result<Vec<FrameRecord>> {
             let message = format!("`{}` is no time of a recording", row.timestamp_nanos);
             return Err(FormatError::new(ErrorKind::Limits, message).at_line(line).in_column("timestamp_nanos"));
         }
+        let measured = [
+            ("sharpness", row.sharpness),
+            ("luma_mean", row.luma_mean),
+            ("motion", row.motion),
+            ("clipped_share", row.clipped_share),
+        ];
+        if let Some((name, Some(bad))) = measured.into_iter().find(|(_, v)| v.is_some_and(|v| !v.is_finite())) {
+            return Err(FormatError::syntax(format!("`{bad}` is not a number")).at_line(line).in_column(name));
+        }
         frames.push(row);
     }
     Ok(frames)

@@ -79,7 +79,7 @@ pub fn linked_copy(from: &Path, to: &Path) {
         if path.is_dir() {
             linked_copy(&path, &target);
         } else if fs::hard_link(&path, &target).is_err() {
-            fs::copy(&path, &target).map(drop).unwrap_or_else(fail);
+            fs::copy(&path, &target).map_or_else(fail, drop);
         }
     }
 }

@@ -26,7 +26,7 @@ fn within(name: &str, value: usize, range: std::ops::RangeInclusive<usize>) -> C
 }
 
 fn bounded(name: &str, values: &[f32]) -> Checked {
-    match values.iter().find(|v| !(v.abs() <= *SIZES.end())) {
+    match values.iter().find(|v| !(0.0..=*SIZES.end()).contains(&v.abs())) {
         Some(bad) => Err(format!("`{name}` holds {bad}")),
         None => Ok(()),
     }
@@ -53,7 +53,7 @@ pub(crate) fn of_model(saved: &SavedModel) -> Checked {
     positive("default_camera.fy", i.fy as f32)?;
     let error = camera.camera_from_world.orthonormality_error();
     // Written so that a NaN is refused.
-    if !(error < 1e-3) {
+    if !(0.0..1e-3).contains(&error) {
         return Err(format!("`default_camera` is turned by no rotation: it deviates by {error}"));
     }
     bounded("default_camera.camera_from_world", &camera.camera_from_world.translation.as_vec3().to_array())?;

@@ -23,7 +23,7 @@ pub fn stratified(
     spacing: Spacing,
     rng: Option<&mut impl Rng>,
 ) {
-    let knot = |k: usize| k as f32 / (samples - 1) as f32;
+    let knot = |k: usize| k as f32 / (samples - 1).max(1) as f32;
     let mut rng = rng;
     for k in 0..samples {
         let t = match &mut rng {

@@ -161,6 +161,15 @@ fn check_ids(file: &DatasetFile) -> Result<()> {
         }
     }
     if let Some(extras) = &file.risorius {
+        let points = extras.head_hull_in_world.iter().flatten().chain([&extras.head_center]);
+        // Written so that a NaN is refused.
+        let sane = |v: f64| v.abs() <= 1e12;
+        let radius = extras.head_radius;
+        if !points.into_iter().all(|p| p.to_array().into_iter().all(sane))
+            || !(radius == 0.0 || (1e-12..=1e12).contains(&radius))
+        {
+            return fail(format!("`risorius`: the head's place, hull or radius ({radius}) makes no sense"));
+        }
         extras.ids_without_masks.iter().try_for_each(|id| check_id(id))?;
     }
     Ok(())

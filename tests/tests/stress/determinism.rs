@@ -49,8 +49,9 @@ fn captures_tracks_and_poses_repeat_themselves() {
     let at = |name: &str| dir.path().join(name);
     for (capture, take, threads) in [("c1", "t1", "1"), ("c2", "t2", "3")] {
         let (capture, take) = (at(capture), at(take));
+        // The video's encoder deals a picture's slices to its threads, and promises nothing about their number.
         with_threads(
-            threads,
+            "2",
             "synth",
             &["-q", "--out", text(&capture), "--frames", "10", "--fps", "30", "--size", "64x96"],
         );
@@ -81,8 +82,7 @@ fn avatars_and_their_pictures_repeat_themselves() {
         std::fs::remove_dir_all(&run).unwrap();
         for threads in ["1", "2", "5"] {
             let out = at(&format!("{field}-{threads}"));
-            let args =
-                ["render", text(&given), "--orbit", "2", "--au", "AU12=4", "--depth", "--masks", "-q"];
+            let args = ["render", text(&given), "--orbit", "2", "--au", "AU12=4", "--depth", "--masks", "-q"];
             with_threads(threads, "trainer", &[&args[..], &["--out", text(&out)]].concat());
         }
         same(&at(&format!("{field}-1")), &at(&format!("{field}-2")), &[]);

@@ -7,7 +7,7 @@ use image::RgbImage;
 use risorius_formats::Camera;
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{self, Dataset};
-use risorius_tests::{linked_copy, run};
+use risorius_tests::linked_copy;
 use serde_json::Value;
 
 use crate::support::{survives, text, tiny};
@@ -220,10 +220,15 @@ fn extreme_takes_become_datasets_or_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name);
     // One frame.
-    assert!(run("synth", &["-q", "--out", text(&at("one")), "--frames", "1", "--size", "64x96"]).status.success());
+    std::fs::create_dir(at("one")).unwrap();
+    let picture = std::fs::read_dir(tiny.join("data/rgb/2x")).unwrap().next().unwrap().unwrap().path();
+    std::fs::copy(picture, at("one/000000.png")).unwrap();
+    let rows = std::fs::read_to_string(tiny.join("capture/openface.csv")).unwrap();
+    let first: Vec<&str> = rows.lines().take(2).collect();
+    std::fs::write(at("one.csv"), first.join("\n") + "\n").unwrap();
     let take = at("one-take");
-    let (video, table) = (at("one/video.mp4"), at("one/openface.csv"));
-    let (model, data) = (at("one/truth_colmap"), at("one-data"));
+    let (video, table) = (at("one"), at("one.csv"));
+    let (model, data) = (tiny.join("capture/truth_colmap"), at("one-data"));
     let steps: [&[&str]; 5] = [
         &["capture", "record", "--input", text(&video), "--out", text(&take)],
         &["capture", "check", text(&take)],

@@ -46,7 +46,7 @@ fn answer<T, E: Display>(result: Result<T, E>, sound: impl FnOnce(&T) -> bool) -
 }
 
 /// How much longer to fuzz than in the quick part.
-pub fn times() -> u64 {
+pub(crate) fn times() -> u64 {
     std::env::var("RISORIUS_STRESS").ok().and_then(|v| v.parse().ok()).unwrap_or(1)
 }
 

@@ -37,7 +37,7 @@ const WORDS: [&str; 26] = [
 const WHOLES: [u64; 9] = [0, 1, 0x7f, 0xff, 0x7fff_ffff, 0xffff_ffff, 0x1_0000_0000, 0x7fff_ffff_ffff_ffff, u64::MAX];
 
 /// The mutation number `n` of one of the seeds: always the same for the same number.
-pub fn mutation(seeds: &[Vec<u8>], n: u64) -> Vec<u8> {
+pub(crate) fn mutation(seeds: &[Vec<u8>], n: u64) -> Vec<u8> {
     let mut rng = ChaCha8Rng::seed_from_u64(n);
     let mut bytes = seeds[rng.random_range(0..seeds.len())].clone();
     let count = 1 + rng.random_range(0u32..4).pow(2) / 2;

@@ -335,6 +335,10 @@ fn pictures_are_finite_wherever_they_are_taken_from() {
     };
     let rest = Face::new(&model, &[-1.0, -1.0]);
     ledger.poke_32("render::Face::render", [0.0, 0.1, -2.0, 0.05, 0.0, 1.0], |a| {
+        // Directions are of unit length, or none at all.
+        if a[3..].iter().any(|d| d.is_finite() && d.abs() > 2.0) {
+            return Ok(());
+        }
         looks(&rest, [a[0], a[1], a[2]], [a[3], a[4], a[5]])
     });
     // Inside the head, on its wall, along its axes.

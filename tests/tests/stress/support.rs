@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use risorius_tests::{run, shared_fixture, succeed};
 
 /// Values that arithmetic trips over, by name.
-pub const POISON: [(&str, f64); 18] = [
+pub(crate) const POISON: [(&str, f64); 18] = [
     ("NaN", f64::NAN),
     ("+inf", f64::INFINITY),
     ("-inf", f64::NEG_INFINITY),
@@ -28,7 +28,7 @@ pub const POISON: [(&str, f64); 18] = [
 ];
 
 /// The same for 32 bits.
-pub const POISON_32: [(&str, f32); 14] = [
+pub(crate) const POISON_32: [(&str, f32); 14] = [
     ("NaN", f32::NAN),
     ("+inf", f32::INFINITY),
     ("-inf", f32::NEG_INFINITY),
@@ -46,27 +46,27 @@ pub const POISON_32: [(&str, f32); 14] = [
 ];
 
 /// What an entry answered to poison: fine, or what is wrong with it.
-pub type Verdict = Result<(), String>;
+pub(crate) type Verdict = Result<(), String>;
 
 /// Fails unless all numbers are finite.
-pub fn finite(values: impl IntoIterator<Item = f64>) -> Verdict {
+pub(crate) fn finite(values: impl IntoIterator<Item = f64>) -> Verdict {
     let values: Vec<f64> = values.into_iter().collect();
     if values.iter().all(|v| v.is_finite()) { Ok(()) } else { Err(format!("{values:?}")) }
 }
 
 /// Fails unless all numbers are finite.
-pub fn finite_32(values: impl IntoIterator<Item = f32>) -> Verdict {
+pub(crate) fn finite_32(values: impl IntoIterator<Item = f32>) -> Verdict {
     finite(values.into_iter().map(f64::from))
 }
 
 /// Fails with `message` unless `good`.
-pub fn check(good: bool, message: impl FnOnce() -> String) -> Verdict {
+pub(crate) fn check(good: bool, message: impl FnOnce() -> String) -> Verdict {
     if good { Ok(()) } else { Err(message()) }
 }
 
 /// Counts what was tried and gathers what went wrong, so that one run names everything.
 #[derive(Default)]
-pub struct Ledger {
+pub(crate) struct Ledger {
     entries: usize,
     tried: usize,
     wrong: Vec<String>,
@@ -74,7 +74,7 @@ pub struct Ledger {
 
 impl Ledger {
     /// One try.
-    pub fn one(&mut self, entry: &str, with: &str, test: impl FnOnce() -> Verdict) {
+    pub(crate) fn one(&mut self, entry: &str, with: &str, test: impl FnOnce() -> Verdict) {
         self.tried += 1;
         let wrong = match catch_unwind(AssertUnwindSafe(test)) {
             Ok(Ok(())) => return,
@@ -89,7 +89,7 @@ impl Ledger {
     }
 
     /// Every poison in every place of `base`, and `base` itself.
-    pub fn poke<const N: usize>(&mut self, entry: &str, base: [f64; N], test: impl Fn([f64; N]) -> Verdict) {
+    pub(crate) fn poke<const N: usize>(&mut self, entry: &str, base: [f64; N], test: impl Fn([f64; N]) -> Verdict) {
         self.entries += 1;
         self.one(entry, "sound", || test(base));
         for place in 0..N {
@@ -102,7 +102,7 @@ impl Ledger {
     }
 
     /// The same in 32 bits.
-    pub fn poke_32<const N: usize>(&mut self, entry: &str, base: [f32; N], test: impl Fn([f32; N]) -> Verdict) {
+    pub(crate) fn poke_32<const N: usize>(&mut self, entry: &str, base: [f32; N], test: impl Fn([f32; N]) -> Verdict) {
         self.entries += 1;
         self.one(entry, "sound", || test(base));
         for place in 0..N {
@@ -115,19 +115,19 @@ impl Ledger {
     }
 
     /// Says what was tried and fails if anything went wrong.
-    pub fn close(self, title: &str) {
+    pub(crate) fn close(self, title: &str) {
         eprintln!("{title}: {} entries, {} tries, {} wrong", self.entries, self.tried, self.wrong.len());
         assert!(self.wrong.is_empty(), "{title}:\n{}", self.wrong.join("\n"));
     }
 }
 
 /// A path as the argument of a command.
-pub fn text(path: &Path) -> &str {
+pub(crate) fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
 /// A small capture with a take, a dataset and an avatar of each field: `capture`, `take`, `data`, `brick`, `confies`.
-pub fn tiny() -> PathBuf {
+pub(crate) fn tiny() -> PathBuf {
     shared_fixture("tiny", |dir| {
         let at = |name: &str| dir.join(name);
         let (capture, take, data) = (at("capture"), at("take"), at("data"));
@@ -146,7 +146,7 @@ pub fn tiny() -> PathBuf {
 }
 
 /// Runs a command that may succeed or be refused, but must not crash: gives its status and what it said.
-pub fn survives(name: &str, args: &[&str]) -> Result<(bool, String), String> {
+pub(crate) fn survives(name: &str, args: &[&str]) -> Result<(bool, String), String> {
     let output = run(name, args);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     match output.status.code() {

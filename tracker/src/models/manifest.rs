@@ -209,6 +209,11 @@ impl Manifest {
         if l.width != l.height {
             return fail("[landmarks]: the crop has to be square: `width` = `height`".to_owned());
         }
+        for (name, value) in [("detector.mean", d.mean), ("landmarks.mean", l.mean)] {
+            if !value.is_finite() {
+                return fail(format!("`{name}` has to be a number, not {value}"));
+            }
+        }
         let positive = [("detector.scale", d.scale), ("landmarks.scale", l.scale), ("landmarks.margin", l.margin)];
         for (name, value) in positive {
             if !(value.is_finite() && value > 0.0) {

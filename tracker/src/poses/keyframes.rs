@@ -47,7 +47,8 @@ pub fn choose(frames: &[FrameRecord], count: usize) -> Vec<u32> {
                 .unwrap_or(std::cmp::Ordering::Equal)
                 .then(distance(b).total_cmp(&distance(a)))
         };
-        let best = frames[from..to].iter().max_by(better);
+        // Times that go back leave nothing between.
+        let best = frames[from.min(to)..to].iter().max_by(better);
         // A slot without frames (frames were dropped) gets none.
         if let Some(best) = best.filter(|b| chosen.last().is_some_and(|c| *c < b.index.0)) {
             chosen.push(best.index.0);
