@@ -260,7 +260,9 @@ fn check_pictures(
                 .collect();
             if !strangers.is_empty() {
                 // Such a file is not even opened.
-                strangers.iter().for_each(|error| own.add_error(dir, error));
+                for error in &strangers {
+                    own.add_error(dir, error);
+                }
                 return (own.pictures, own.problems);
             }
             let size = dataset.cameras[id].reduced(s).intrinsics;

@@ -12,6 +12,9 @@ use serde_json::Value;
 
 use crate::support::{survives, text, tiny};
 
+/// The cell of an intensity in a row.
+type Intensity = fn(usize) -> &'static str;
+
 /// What is changed of the tiny dataset.
 type Change = fn(&mut Scene);
 
@@ -243,7 +246,7 @@ fn extreme_takes_become_datasets_or_are_refused() {
     // AUs.
     let table = std::fs::read_to_string(tiny.join("capture/openface.csv")).unwrap();
     let header: Vec<&str> = table.lines().next().unwrap().split(',').map(str::trim).collect();
-    let rewritten = |value: fn(usize) -> &'static str| {
+    let rewritten = |value: Intensity| {
         let mut lines = vec![table.lines().next().unwrap().to_owned()];
         for (i, line) in table.lines().skip(1).enumerate() {
             let cells =
@@ -252,7 +255,7 @@ fn extreme_takes_become_datasets_or_are_refused() {
         }
         lines.join("\n") + "\n"
     };
-    let cases: [(&str, fn(usize) -> &'static str); 4] = [
+    let cases: [(&str, Intensity); 4] = [
         ("never", |_| "0.00"),
         ("always", |_| "5.00"),
         ("flip", |i| if i % 2 == 0 { "0.00" } else { "5.00" }),

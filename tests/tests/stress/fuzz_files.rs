@@ -150,7 +150,7 @@ fn curves_of_three_sorts() {
         answer(Curves::parse(b, &Silent), |c| {
             let rising = c.times_secs.windows(2).all(|w| w[0] < w[1]) && c.times_secs.iter().all(|t| t.is_finite());
             let sound = c.rows.iter().flatten().flatten().all(|v| (0.0..=5.0).contains(v));
-            rising && sound && c.fps().is_finite() && c.head_rotations.iter().flatten().all(|r| r.is_finite())
+            rising && sound && c.fps().is_finite() && c.head_rotations.iter().flatten().all(glam::DMat3::is_finite)
         })
     });
 }

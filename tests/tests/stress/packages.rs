@@ -13,6 +13,9 @@ use serde_json::Value;
 
 use crate::support::{text, tiny};
 
+/// What is done to a dataset and one of its ids.
+type Change = Box<dyn Fn(&Path, &str)>;
+
 /// A copy of the tiny dataset with one thing wrong.
 fn wrong(change: impl FnOnce(&Path, &str)) -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
@@ -43,7 +46,6 @@ fn replace(path: &Path, put: impl FnOnce(&Path)) {
 fn links_and_pipes_in_datasets_are_refused() {
     let picture = |data: &Path, id: &str| data.join(format!("rgb/2x/{id}.png"));
     let fifo = |path: &Path| assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
-    type Change = Box<dyn Fn(&Path, &str)>;
     let changes: [(&str, &str, Change); 5] = [
         (
             "a link out",
@@ -65,7 +67,7 @@ fn links_and_pipes_in_datasets_are_refused() {
             "masks elsewhere",
             "leads out",
             Box::new(|d, id| {
-                replace(&d.join(format!("regions/2x/{id}.png")), |p| symlink("../../../secret.png", p).unwrap())
+                replace(&d.join(format!("regions/2x/{id}.png")), |p| symlink("../../../secret.png", p).unwrap());
             }),
         ),
     ];
@@ -141,7 +143,9 @@ fn names_in_models_and_tables_stay_words() {
     let lines: Vec<String> = images
         .lines()
         .map(|l| match l.rsplit_once(' ') {
-            Some((front, name)) if name.ends_with(".png") => format!("{front} ../../../evil/{name}"),
+            Some((front, name)) if Path::new(name).extension().is_some_and(|e| e == "png") => {
+                format!("{front} ../../../evil/{name}")
+            }
             _ => l.to_owned(),
         })
         .collect();

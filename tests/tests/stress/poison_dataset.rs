@@ -10,6 +10,9 @@ use risorius_formats::{ActionUnit, AttributeSpec, Camera, Intrinsics, Isometry, 
 
 use crate::support::{Ledger, POISON, check, finite, finite_32};
 
+/// The level of a frame.
+type Level = fn(usize) -> usize;
+
 #[test]
 fn samplers_choose_what_was_asked_whatever_the_numbers() {
     let mut ledger = Ledger::default();
@@ -22,8 +25,7 @@ fn samplers_choose_what_was_asked_whatever_the_numbers() {
         });
     }
     // All alike, all different, flipping every frame; targets from none to more than there are.
-    let patterns: [(&str, fn(usize) -> usize); 3] =
-        [("alike", |_| 3), ("different", |i| i % 6), ("flipping", |i| 5 * (i % 2))];
+    let patterns: [(&str, Level); 3] = [("alike", |_| 3), ("different", |i| i % 6), ("flipping", |i| 5 * (i % 2))];
     for (name, level) in patterns {
         let levels: Vec<Vec<usize>> = (0..50).map(|i| vec![level(i), level(i + 1)]).collect();
         for target in [0, 1, 7, 50, 51, usize::MAX / 4] {

@@ -118,12 +118,12 @@ fn alignments_and_axes_are_rigid_or_none() {
         let square = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0), (a[0], a[1])].map(DVec2::from);
         let hull = polygon::convex_hull(&square);
         let _ = polygon::hull_contains(&hull, DVec2::new(a[1], a[2]));
-        finite(hull.iter().flat_map(|p| p.to_array()))
+        finite(hull.iter().flat_map(DVec2::to_array))
     });
     ledger.poke("polygon::projected_hull", [0.0, 0.0, 2.0, 500.0], |a| {
         let camera = Camera { intrinsics: Intrinsics::pinhole(64, 48, a[3]), camera_from_world: Isometry::IDENTITY };
         let corners = [DVec3::new(a[0], a[1], a[2]), DVec3::new(1.0, 0.0, 2.0), DVec3::new(0.0, 1.0, 2.0)];
-        finite(polygon::projected_hull(&corners, &camera).iter().flat_map(|p| p.to_array()))
+        finite(polygon::projected_hull(&corners, &camera).iter().flat_map(DVec2::to_array))
     });
     ledger.poke("track::HeadPose", [0.1, 0.2, 0.3, 1.0, 2.0, 600.0], |a| {
         let pose =
@@ -229,13 +229,11 @@ fn writers_refuse_what_readers_would_not_take() {
         let camera = Camera { intrinsics: Intrinsics::pinhole(64, 48, 60.0), camera_from_world: rows(&a) };
         let path = dir.path().join("camera.json");
         let _ = std::fs::remove_file(&path);
-        match nerfies::write_camera(&path, &camera) {
-            Err(e) => check(e.path().is_some() && !path.exists(), || format!("{e}, and a file is left")),
-            Ok(()) => {
-                let text = std::fs::read_to_string(&path).map_err(|e| e.to_string())?;
-                check(!text.contains("null") && !text.contains("NaN"), || text)
-            }
+        if let Err(e) = nerfies::write_camera(&path, &camera) {
+            return check(e.path().is_some() && !path.exists(), || format!("{e}, and a file is left"));
         }
+        let text = std::fs::read_to_string(&path).map_err(|e| e.to_string())?;
+        check(!text.contains("null") && !text.contains("NaN"), || text)
     });
     ledger.poke_32("openface::to_bytes", [1.0, 0.9, 0.5], |[intensity, confidence, x]| {
         let points = std::array::from_fn(|i| [i as f32 + x, i as f32]);

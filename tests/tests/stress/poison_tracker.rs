@@ -99,7 +99,7 @@ fn points_and_poses_are_found_or_not() {
         };
         let person = model.fit(&lens, &[picture(0.0), picture(3.0)]);
         finite(person.coefficients.iter().copied().chain([person.error]))
-            .and(finite(person.points.iter().flat_map(|p| p.to_array())))
+            .and(finite(person.points.iter().flat_map(DVec3::to_array)))
     });
     ledger.close("points and poses");
 }

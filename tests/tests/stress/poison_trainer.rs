@@ -203,10 +203,8 @@ fn scores_and_paths_are_numbers_or_none() {
                 return Ok(());
             }
             let rated = |offset: f64| {
-                let rows: Vec<Vec<f64>> = (0..8)
-                    .map(|i| f64::from(i))
-                    .map(|i| vec![offset + i, offset + i + 0.3 * (i * 2.0).sin()])
-                    .collect();
+                let rows: Vec<Vec<f64>> =
+                    (0..8).map(f64::from).map(|i| vec![offset + i, offset + i + 0.3 * (i * 2.0).sin()]).collect();
                 icc::icc(&rows).map(|i| i.icc_3_1)
             };
             let (here, there) = (rated(0.0).unwrap(), rated(v + 1e6).unwrap());

@@ -112,7 +112,9 @@ pub(crate) fn climb(rounds: u32) -> Vec<Rung> {
     ];
     let rounded = |of: fn(f32) -> f32| {
         let mut model = model.clone();
-        tables(&mut model).into_iter().for_each(|t| t.values.iter_mut().for_each(|v| *v = of(*v)));
+        for table in tables(&mut model) {
+            table.values.iter_mut().for_each(|v| *v = of(*v));
+        }
         model
     };
     let (brain, half) = (rounded(through::<bf16>), rounded(through::<f16>));
