@@ -86,8 +86,14 @@ pub fn redact(dir: &Path, name: &str, reporter: &dyn Reporter) -> Result<Redacte
 pub(crate) fn settings(dir: &Path) -> Result<BuildOptions> {
     let path = dir.join("report").join("settings.toml");
     let text = std::fs::read_to_string(&path).map_err(|e| FormatError::io(&path, "read", &e))?;
-    toml::from_str(&text)
-        .map_err(|e| FormatError::new(ErrorKind::Syntax, e.message().trim().replace('\n', ", ")).in_file(&path).into())
+    let options: BuildOptions = toml::from_str(&text)
+        .map_err(|e| FormatError::new(ErrorKind::Syntax, e.message().trim().replace('\n', ", ")).in_file(&path))?;
+    // What tables are made by.
+    if !(2..=101).contains(&options.levels) {
+        let message = format!("`levels` is {}, expected 2 to 101", options.levels);
+        return Err(FormatError::new(ErrorKind::Inconsistent, message).in_file(&path).into());
+    }
+    Ok(options)
 }
 
 /// The dataset without some of its ids.

@@ -196,8 +196,8 @@ pub fn polygons(
     let [left, top, right, bottom] = landmarks.bounds_px().map(f64::from);
     let (w, h) = (f64::from(width), f64::from(height));
     let (mx, my) = (MAX_OUTSIDE_SHARE * w, MAX_OUTSIDE_SHARE * h);
-    // Written so that a NaN is outside.
-    if !(left >= -mx && top >= -my && right <= w + mx && bottom <= h + my) {
+    // A box does not see a single point that is no number, and neither does the area.
+    if !(landmarks.is_finite() && left >= -mx && top >= -my && right <= w + mx && bottom <= h + my) {
         return Err(Rejection::OutsideFrame);
     }
     let mut result = Vec::with_capacity(styles.len());

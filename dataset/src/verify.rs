@@ -7,7 +7,7 @@ use image::ImageReader;
 use rayon::prelude::*;
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{self, Dataset, Polygons};
-use risorius_formats::{AttributeTable, FormatError, Reporter};
+use risorius_formats::{AttributeTable, FormatError, Reporter, package};
 use serde::Serialize;
 
 use crate::error::DatasetError;
@@ -49,7 +49,7 @@ impl Verdict {
         }
     }
 
-    fn add_error(&mut self, dir: &Path, error: &FormatError) {
+    pub(crate) fn add_error(&mut self, dir: &Path, error: &FormatError) {
         let path = error.path().unwrap_or(dir).to_owned();
         let message = error.to_string();
         // The path stands in front already; the line stays.
@@ -251,6 +251,20 @@ fn check_pictures(
         .par_iter()
         .map(|&(s, id)| {
             let mut own = Verdict::default();
+            let files = [nerfies::rgb_path, nerfies::region_path, nerfies::valid_path, nerfies::head_path];
+            let strangers: Vec<FormatError> = files
+                .map(|path| path(dir, s, id))
+                .into_iter()
+                .chain([nerfies::polygons_path(dir, id)])
+                .filter_map(|path| package::check_file(dir, path).err())
+                .collect();
+            if !strangers.is_empty() {
+                // Such a file is not even opened.
+                for error in &strangers {
+                    own.add_error(dir, error);
+                }
+                return (own.pictures, own.problems);
+            }
             let size = dataset.cameras[id].reduced(s).intrinsics;
             let size = (size.width, size.height);
             own.pictures += usize::from(check_picture(&nerfies::rgb_path(dir, s, id), size, &mut own));

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path};
 
 use rayon::prelude::*;
-use risorius_formats::Camera;
+use risorius_formats::{Camera, package};
 
 use crate::export::{FRAMES_FILE, IMAGES_DIR, SPARSE_DIR, TRANSFORMS_FILE};
 use crate::import::{Layout, id_of, layout_cameras, read_transforms};
@@ -94,6 +94,10 @@ fn check_pictures(
             // A package must stay in its folder: other machines have other folders.
             if relative.components().any(|c| !matches!(c, Component::Normal(_) | Component::CurDir)) {
                 own.add(dir.join(TRANSFORMS_FILE), format!("`{path}` leads out of the folder"));
+                return own;
+            }
+            if let Err(error) = package::check_file(dir, dir.join(relative)) {
+                own.add_error(dir, &error);
                 return own;
             }
             let size = (camera.intrinsics.width, camera.intrinsics.height);

@@ -35,9 +35,11 @@ pub struct AttributeSpec {
 }
 
 impl AttributeSpec {
-    /// The attribute of `unit` with a range measured on the capture; decides whether it is active.
+    /// The attribute of `unit` with a range measured on the capture; decides whether it is active. One whose range is
+    /// empty, turned round or no number is not.
     pub fn from_range(unit: ActionUnit, region: usize, au_min: f32, au_max: f32, neutral: f32) -> Self {
-        let active = (AU_MAX_SCALE * au_max - au_min) >= MIN_RANGE;
+        let width = AU_MAX_SCALE * au_max - au_min;
+        let active = width.is_finite() && width >= MIN_RANGE;
         Self { unit, region, au_min, au_max, au_max_scale: AU_MAX_SCALE, neutral, active }
     }
 
@@ -140,7 +142,8 @@ impl AttributeTable {
             if ![a.au_min, a.au_max, a.au_max_scale, a.neutral].iter().all(|v| v.is_finite()) {
                 return fail(format!("`{}` has a range that is not a number", a.unit));
             }
-            if a.active && a.width() < MIN_RANGE {
+            // Written so that a width that overflows is refused as well.
+            if a.active && !(MIN_RANGE..=f32::MAX).contains(&a.width()) {
                 return fail(format!("`{}` is active but its range {}..{} is empty", a.unit, a.au_min, a.au_max));
             }
         }

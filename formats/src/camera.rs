@@ -246,10 +246,12 @@ impl Camera {
         self.intrinsics.project(self.camera_from_world.transform_point(point_in_world))
     }
 
-    /// The unit direction in the world of the ray through a pixel; `None` beyond the fold of the lens model.
+    /// The unit direction in the world of the ray through a pixel; `None` beyond the fold of the lens model, and where
+    /// the camera's numbers give no direction.
     pub fn ray_direction(&self, pixel: DVec2) -> Option<DVec3> {
         let p = self.intrinsics.unproject(pixel)?;
-        Some((self.camera_from_world.rotation.transpose() * p.extend(1.0).normalize()).normalize())
+        // A pixel so far out that its square overflows has no length, hence no direction.
+        (self.camera_from_world.rotation.transpose() * p.extend(1.0).try_normalize()?).try_normalize()
     }
 
     /// Where the camera stands in the world.

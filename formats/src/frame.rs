@@ -57,6 +57,9 @@ pub struct FrameRecord {
     pub clipped_share: Option<f32>,
 }
 
+/// Times beyond a year are damage; differences of those that are left fit into their type.
+const LATEST_NANOS: u64 = 366 * 86_400 * 1_000_000_000;
+
 /// Parses `frames.csv`; extra columns are ignored, the index must count up from 0, and time must not go back.
 pub fn parse_frames(bytes: &[u8]) -> Result<Vec<FrameRecord>> {
     if bytes.trim_ascii().is_empty() {
@@ -80,6 +83,19 @@ pub fn parse_frames(bytes: &[u8]) -> Result<Vec<FrameRecord>> {
                 .at_line(line)
                 .in_column("timestamp_nanos")
                 .with_hint("a clock was set back while the frames were written down; make the take anew"));
+        }
+        if row.timestamp_nanos.unsigned_abs() > LATEST_NANOS {
+            let message = format!("`{}` is no time of a recording", row.timestamp_nanos);
+            return Err(FormatError::new(ErrorKind::Limits, message).at_line(line).in_column("timestamp_nanos"));
+        }
+        let measured = [
+            ("sharpness", row.sharpness),
+            ("luma_mean", row.luma_mean),
+            ("motion", row.motion),
+            ("clipped_share", row.clipped_share),
+        ];
+        if let Some((name, Some(bad))) = measured.into_iter().find(|(_, v)| v.is_some_and(|v| !v.is_finite())) {
+            return Err(FormatError::syntax(format!("`{bad}` is not a number")).at_line(line).in_column(name));
         }
         frames.push(row);
     }

@@ -37,6 +37,7 @@ pub mod landmarks;
 pub mod mask;
 pub mod nerfies;
 pub mod openface;
+pub mod package;
 pub mod polygon;
 pub mod pose_report;
 pub mod region;

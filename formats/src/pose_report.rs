@@ -82,7 +82,19 @@ impl PoseReport {
         let path = path.as_ref();
         let bytes = std::fs::read(path)
             .map_err(|e| FormatError::io(path, "read", &e).with_hint("find the cameras with `tracker poses TAKE`"))?;
-        serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(path))
+        let report: Self = serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(path))?;
+        let hull = report.head_hull_in_world.iter().flatten().chain(report.head_box.iter().flatten());
+        let points = report.landmarks_in_world.iter().chain(hull).chain([&report.head_center]);
+        let lengths = [report.head_radius, report.near, report.far, report.head_depth[0], report.head_depth[1]];
+        // Written so that a NaN is refused; 32-bit floats must hold them.
+        let bad = points.flat_map(DVec3::to_array).chain(lengths).find(|v| !(0.0..=1e12).contains(&v.abs()));
+        if let Some(bad) = bad {
+            let message = format!("a place or length of the head is {bad}");
+            return Err(FormatError::new(ErrorKind::Limits, message)
+                .in_file(path)
+                .with_hint("find the cameras again with `tracker poses TAKE`"));
+        }
+        Ok(report)
     }
 
     /// Writes `poses/report.json`, whole or not at all.

@@ -16,18 +16,21 @@ pub struct SceneBounds {
     pub far: f64,
 }
 
+/// Scales and distances below this, or above its inverse, come from damage, whatever the unit.
+const SMALLEST: f64 = 1e-12;
+
 impl SceneBounds {
     /// A point of the world in scene units.
     pub fn scene_from_world(&self, point_in_world: DVec3) -> DVec3 {
         (point_in_world - self.center_in_world) * self.scale
     }
 
-    /// Whether all numbers are finite and 0 < near < far.
+    /// Whether 0 < near < far and all numbers are of a size that 32-bit floats and their inverses hold.
     pub fn is_valid(&self) -> bool {
-        self.center_in_world.is_finite()
-            && [self.scale, self.near, self.far].iter().all(|v| v.is_finite())
-            && self.scale > 0.0
-            && self.near > 0.0
+        let sizes = SMALLEST..=1.0 / SMALLEST;
+        self.center_in_world.abs().max_element() <= 1.0 / SMALLEST
+            && !self.center_in_world.is_nan()
+            && [self.scale, self.near, self.far].iter().all(|v| sizes.contains(v))
             && self.far > self.near
     }
 }

@@ -48,8 +48,8 @@ const LINE: f64 = 1e-9;
 
 /// The `a_from_b` that brings the points of `b` closest to those of `a`, in the least-squares sense.
 ///
-/// Pairs are (point of `a`, point of `b`). `with_scale` = false keeps the scale at 1. `None` with fewer than 3 pairs or
-/// when all points of `b` coincide.
+/// Pairs are (point of `a`, point of `b`). `with_scale` = false keeps the scale at 1. `None` with fewer than 3 pairs,
+/// when all points of `b` coincide, or where a number is not finite or overflows.
 pub fn umeyama(pairs: &[(DVec3, DVec3)], with_scale: bool) -> Option<Fit> {
     if pairs.len() < 3 {
         return None;
@@ -63,6 +63,10 @@ pub fn umeyama(pairs: &[(DVec3, DVec3)], with_scale: bool) -> Option<Fit> {
         covariance += Vector3::new(a.x, a.y, a.z) * Vector3::new(b.x, b.y, b.z).transpose() / n;
         variance_b += b.length_squared() / n;
     }
+    // Before the decomposition, which would look for the singular values of a NaN for ever.
+    if !(covariance.iter().all(|v| v.is_finite()) && variance_b > 0.0 && variance_b.is_finite()) {
+        return None;
+    }
     // Singular values come in descending order.
     let svd = covariance.svd(true, true);
     let (u, v_t) = (svd.u?, svd.v_t?);
@@ -71,15 +75,15 @@ pub fn umeyama(pairs: &[(DVec3, DVec3)], with_scale: bool) -> Option<Fit> {
     let r = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
     let [first, second, third] = [0, 1, 2].map(|i| svd.singular_values[i]);
     let trace = first + second + sign * third;
-    // Written so that a NaN is refused.
-    if !(variance_b > 0.0 && trace.is_finite()) {
+    if !trace.is_finite() {
         return None;
     }
     let scale = if with_scale { trace / variance_b } else { 1.0 };
     let rotation = DMat3::from_cols_slice(r.as_slice());
     let a_from_b = Similarity { scale, rotation, translation: mean.0 - rotation * mean.1 * scale };
     let squares: f64 = pairs.iter().map(|(a, b)| (a_from_b.transform_point(*b) - *a).length_squared()).sum();
-    Some(Fit { a_from_b, rms: (squares / n).sqrt(), on_a_line: second <= LINE * first })
+    let rms = (squares / n).sqrt();
+    (rms.is_finite() && scale.is_finite()).then_some(Fit { a_from_b, rms, on_a_line: second <= LINE * first })
 }
 
 #[cfg(test)]

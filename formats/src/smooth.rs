@@ -13,14 +13,15 @@ pub fn window_for_fps(fps: f64) -> usize {
     (frames | 1).max(ORDER + 2)
 }
 
-/// Smooths every run of values by itself; gaps stay gaps and nothing is filtered across them.
+/// Smooths every run of values by itself; gaps stay gaps and nothing is filtered across them. A value that is no finite
+/// number is a gap as well, or it would spoil its whole window.
 ///
 /// A run shorter than `window` takes the largest odd window that fits; runs too short for `order` are kept as they are.
 pub fn smooth_segments(values: &[Option<f32>], window: usize, order: usize) -> Vec<Option<f32>> {
     let mut out = values.to_vec();
     let mut start = 0;
     while start < values.len() {
-        let len = values[start..].iter().take_while(|v| v.is_some()).count();
+        let len = values[start..].iter().take_while(|v| v.is_some_and(f32::is_finite)).count();
         if len > 0 {
             let run: Vec<f64> = values[start..start + len].iter().flatten().map(|&v| f64::from(v)).collect();
             for (slot, value) in out[start..start + len].iter_mut().zip(smooth_run(&run, window, order)) {

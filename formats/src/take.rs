@@ -61,6 +61,9 @@ pub struct TakeManifest {
     pub written_by: String,
 }
 
+/// No camera takes more pictures per second.
+const MOST_FPS: f64 = 1e6;
+
 /// The current layout of `take.toml`.
 pub const TAKE_VERSION: u32 = 1;
 
@@ -74,6 +77,14 @@ impl TakeManifest {
                 format!("layout version {} is newer than this program", manifest.version),
             )
             .with_hint("update Risorius"));
+        }
+        let rates = [("fps_measured", Some(manifest.fps_measured)), ("fps_asked", manifest.fps_asked)];
+        for (name, rate) in rates {
+            // Written so that a NaN is refused.
+            if rate.is_some_and(|r| !(0.0..=MOST_FPS).contains(&r)) {
+                let message = format!("`{name}` is {}, expected a number from 0", rate.unwrap_or(f64::NAN));
+                return Err(FormatError::new(ErrorKind::Inconsistent, message));
+            }
         }
         Ok(manifest)
     }

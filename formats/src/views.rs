@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::camera::{Camera, Distortion, Intrinsics, Isometry};
+use crate::nerfies::check_id;
 use crate::pose_report::json_error;
-use crate::{ActionUnit, ErrorKind, FormatError, Result};
+use crate::{ActionUnit, ErrorKind, FormatError, Result, package};
 
 /// A view's camera as the file writes it: OpenCV names, missing coefficients are 0.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -126,8 +127,12 @@ pub struct ViewList {
     pub views: Vec<View>,
 }
 
+/// No camera has numbers beyond this, whatever the unit: they come from damage, and 32-bit floats must hold them.
+const LARGEST: f64 = 1e12;
+
 impl ViewList {
-    /// Parses and checks the list: ids must be plain, unique file names, cameras rigid, intensities finite.
+    /// Parses and checks the list: ids must be plain, unique file names, paths stay below the
+    /// list's folder, cameras are rigid, intensities finite.
     pub fn parse(bytes: &[u8]) -> Result<Self> {
         let list: Self = serde_json::from_slice(bytes).map_err(|e| json_error(&e))?;
         if list.views.is_empty() {
@@ -138,21 +143,28 @@ impl ViewList {
             let fail = |message: String| {
                 Err(FormatError::new(ErrorKind::Inconsistent, format!("view `{}`: {message}", view.id)))
             };
-            let plain =
-                !view.id.is_empty() && view.id != ".." && view.id != "." && !view.id.contains(['/', '\\', '\0']);
-            if !plain {
-                return fail("an id must be a plain file name".to_owned());
+            // The id becomes a file's name in the output; the paths are read below the list's own folder.
+            if check_id(&view.id).is_err() {
+                let id: String = view.id.chars().take(80).collect();
+                let message = format!("the id {id:?} must be a plain file name");
+                return Err(FormatError::new(ErrorKind::Inconsistent, message));
+            }
+            for path in view.image.iter().chain(&view.depth) {
+                if let Err(e) = package::check_relative(path) {
+                    return fail(e.to_string());
+                }
             }
             if !seen.insert(view.id.as_str()) {
                 return fail("the id stands there twice".to_owned());
             }
             let camera = Camera::from(&view.camera);
             let i = &camera.intrinsics;
-            let finite = [i.fx, i.fy, i.cx, i.cy].iter().all(|v| v.is_finite())
-                && camera.camera_from_world.translation.is_finite();
+            let sane = |v: f64| v.abs() <= LARGEST;
+            let finite = [i.fx, i.fy, i.cx, i.cy].into_iter().all(sane)
+                && camera.camera_from_world.translation.to_array().into_iter().all(sane);
             if !finite
-                || i.fx <= 0.0
-                || i.fy <= 0.0
+                || i.fx < 1.0 / LARGEST
+                || i.fy < 1.0 / LARGEST
                 || i.width == 0
                 || i.height == 0
                 || i.width > 16_384

@@ -1,7 +1,11 @@
 //! Shared by the end-to-end tests: where the binaries and the development data are.
 
+mod fixture;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+
+pub use fixture::{linked_copy, shared_fixture};
 
 /// The built binary `name`; tests of the whole chain run what users run.
 ///

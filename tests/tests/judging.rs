@@ -7,9 +7,8 @@ use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::OnceLock;
 
-use risorius_tests::{binary, run, succeed};
+use risorius_tests::{binary, linked_copy, run, shared_fixture, succeed};
 use serde_json::Value;
 
 fn text(path: &Path) -> &str {
@@ -20,22 +19,34 @@ fn json(output: &str) -> Value {
     serde_json::from_str(output).unwrap_or_else(|e| panic!("not one JSON document ({e}): {output}"))
 }
 
-/// A capture, its driver as a take, and an avatar, made once for all tests.
+/// A capture, its driver as a take, and an avatar, made once for all tests, and a folder for what one test writes.
 struct Made {
-    dir: tempfile::TempDir,
+    shared: PathBuf,
+    own: tempfile::TempDir,
 }
 
 impl Made {
+    /// What was made: `run`, `capture`, `driver`.
+    fn given(&self, name: &str) -> PathBuf {
+        self.shared.join(name)
+    }
+
+    /// A place for what the test writes.
     fn at(&self, name: &str) -> PathBuf {
-        self.dir.path().join(name)
+        self.own.path().join(name)
+    }
+
+    /// The avatar in a folder that may be written to.
+    fn own_run(&self) -> PathBuf {
+        let run = self.at("run");
+        linked_copy(&self.given("run"), &run);
+        run
     }
 }
 
-fn made() -> &'static Made {
-    static MADE: OnceLock<Made> = OnceLock::new();
-    MADE.get_or_init(|| {
-        let made = Made { dir: tempfile::tempdir().unwrap() };
-        let at = |name: &str| made.at(name);
+fn made() -> Made {
+    let shared = shared_fixture("judging", |dir| {
+        let at = |name: &str| dir.join(name);
         let (capture, take, driver, dataset) = (at("capture"), at("take"), at("driver"), at("dataset"));
         let size = ["--frames", "90", "--fps", "30", "--size", "96x160", "--driver", "-q"];
         succeed("synth", &[&["--out", text(&capture)], &size[..]].concat());
@@ -49,14 +60,16 @@ fn made() -> &'static Made {
         let out = ["--frames", "40", "--scale", "2", "--out", text(&dataset), "-q"];
         succeed("dataset", &[&["build", text(&take), "--balance"], &out[..]].concat());
         succeed("trainer", &["fit", text(&dataset), "--out", text(&at("run")), "--steps", "300", "-q"]);
-        made
-    })
+        // Nobody goes on with this fit, and its state is most of what it leaves.
+        std::fs::remove_dir_all(at("run").join("checkpoints")).unwrap();
+    });
+    Made { shared, own: tempfile::tempdir().unwrap() }
 }
 
 #[test]
 fn evaluation_writes_numbers_tables_and_a_page() {
     let made = made();
-    let (run_dir, views) = (made.at("run"), made.at("capture").join("test/views.json"));
+    let (run_dir, views) = (made.given("run"), made.given("capture").join("test/views.json"));
     let out = made.at("judged");
     let args = ["eval", text(&run_dir), "--views", text(&views), "--decoupling", "--out", text(&out), "--json"];
     let document = json(&succeed("trainer", &[&args[..], &["--lpips", "none"]].concat()));
@@ -84,9 +97,9 @@ fn evaluation_writes_numbers_tables_and_a_page() {
 #[test]
 fn missing_networks_and_trackers_are_told() {
     let made = made();
-    let (run_dir, empty) = (made.at("run"), made.at("empty"));
+    let (run_dir, empty) = (made.given("run"), made.at("empty"));
     std::fs::create_dir_all(&empty).unwrap();
-    let views = made.at("capture").join("test/views.json");
+    let views = made.given("capture").join("test/views.json");
     let out = made.at("nothing");
     let args = ["eval", text(&run_dir), "--views", text(&views), "--lpips", "alex", "--models", text(&empty)];
     let output = run("trainer", &[&args[..], &["--out", text(&out)]].concat());
@@ -104,7 +117,7 @@ fn missing_networks_and_trackers_are_told() {
 #[test]
 fn a_path_renders_resumes_and_refuses_another_list() {
     let made = made();
-    let (run_dir, out, path) = (made.at("run"), made.at("path"), made.at("path.toml"));
+    let (run_dir, out, path) = (made.given("run"), made.at("path"), made.at("path.toml"));
     std::fs::write(
         &path,
         "fps = 4\n[[key]]\nsecs = 0\norbit = { yaw_deg = -8 }\n[[key]]\nsecs = 1\norbit = { yaw_deg = 8, zoom = 1.3 }\npreset = \"smile\"\n",
@@ -141,7 +154,7 @@ fn a_path_renders_resumes_and_refuses_another_list() {
 #[test]
 fn transfer_to_two_avatars_with_a_turning_head_tells_what_did_not_fit() {
     let made = made();
-    let (run_dir, driver, out) = (made.at("run"), made.at("driver"), made.at("two"));
+    let (run_dir, driver, out) = (made.given("run"), made.given("driver"), made.at("two"));
     let video = made.at("two.mp4");
     let args = ["transfer", text(&run_dir), text(&run_dir), "--from", text(&driver), "--fps", "3", "--head", "copy"];
     let more = ["--out", text(&out), "--video", text(&video), "--range", "avatar", "--json", "-q"];
@@ -174,7 +187,7 @@ fn exports_hold_a_target_per_au() {
     let made = made();
     for (kind, mode) in [("mesh", 4), ("points", 0)] {
         let file = made.at(&format!("{kind}.glb"));
-        let args = ["export", text(&made.at("run")), "--out", text(&file), "--kind", kind, "--columns", "24"]
+        let args = ["export", text(&made.given("run")), "--out", text(&file), "--kind", kind, "--columns", "24"]
             .map(str::to_owned);
         let args: Vec<&str> = args.iter().map(String::as_str).collect();
         let summary = json(&succeed("trainer", &[&args[..], &["--views", "2", "--json"]].concat()));
@@ -299,7 +312,9 @@ impl Drop for Viewer {
 
 #[test]
 fn the_viewer_answers_its_own_page_only() {
-    let viewer = Viewer::start(&made().at("run"));
+    let made = made();
+    let run_dir = made.own_run();
+    let viewer = Viewer::start(&run_dir);
     let home = format!("/{}/", viewer.token());
     let (status, head, page) = viewer.ask("GET", &home, &[], b"");
     assert_eq!(status, 200);
@@ -340,10 +355,10 @@ fn the_viewer_answers_its_own_page_only() {
     assert!(
         status == 200
             && Path::new(&file).extension().is_some_and(|e| e == "toml")
-            && Path::new(&file).starts_with(made().at("run").join("paths"))
+            && Path::new(&file).starts_with(run_dir.join("paths"))
     );
-    let out = made().at("saved");
-    succeed("trainer", &["render", text(&made().at("run")), "--path", &file, "--fps", "1", "--out", text(&out), "-q"]);
+    let out = made.at("saved");
+    succeed("trainer", &["render", text(&run_dir), "--path", &file, "--fps", "1", "--out", text(&out), "-q"]);
     assert!(out.join("002.png").is_file());
 }
 
@@ -355,7 +370,8 @@ fn the_page_works_in_a_browser_with_mouse_and_keys() {
         eprintln!("SKIPPED: no browser at {chromium} (CHROMIUM names another)");
         return;
     }
-    let viewer = Viewer::start(&made().at("run"));
+    let made = made();
+    let viewer = Viewer::start(&made.own_run());
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("browser/view.mjs");
     let output = Command::new("node")
         .arg(script)

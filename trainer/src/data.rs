@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use risorius_formats::intensities::Intensities;
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{self, Dataset, Extras};
-use risorius_formats::{AttributeSpec, AttributeTable, Camera, Reporter, hash};
+use risorius_formats::{AttributeSpec, AttributeTable, Camera, Reporter, hash, package};
 
 use crate::error::{Result, TrainerError};
 
@@ -127,6 +127,7 @@ impl TrainData {
 
 fn load_frame(dir: &Path, dataset: &Dataset, table: &AttributeTable, id: &str, scale: u32) -> Result<TrainFrame> {
     let path = nerfies::rgb_path(dir, scale, id);
+    package::check_file(dir, &path)?;
     let image = read_rgb(&path)?;
     let fail = |message: String| TrainerError::Dataset {
         path: path.clone(),
@@ -144,6 +145,7 @@ fn load_frame(dir: &Path, dataset: &Dataset, table: &AttributeTable, id: &str, s
         if !path.is_file() {
             return Ok(None);
         }
+        package::check_file(dir, &path)?;
         let labels = LabelImage::read_png(&path)?;
         if labels.labels.len() != pixel_count {
             return Err(fail(format!("its label image {} has another size", path.display())));

@@ -10,6 +10,7 @@
 
 pub mod avatar;
 pub mod batch;
+mod bounds;
 pub mod brick;
 pub mod cli;
 pub mod config;

@@ -23,7 +23,7 @@ pub fn stratified(
     spacing: Spacing,
     rng: Option<&mut impl Rng>,
 ) {
-    let knot = |k: usize| k as f32 / (samples - 1) as f32;
+    let knot = |k: usize| k as f32 / (samples - 1).max(1) as f32;
     let mut rng = rng;
     for k in 0..samples {
         let t = match &mut rng {
@@ -44,12 +44,14 @@ pub fn stratified(
 /// (fact sheet §8.8); without an `rng` the quantiles are evenly spaced.
 pub fn importance(out: &mut Vec<f32>, bins: &[f32], weights: &[f32], count: usize, mut rng: Option<&mut impl Rng>) {
     debug_assert_eq!(bins.len(), weights.len() + 1, "one more edge than bins");
-    let total: f32 = weights.iter().map(|w| w.max(0.0) + 1e-5).sum();
+    // What is no weight counts as none: a single NaN or infinity would take the whole ray with it.
+    let weight = |w: &f32| if w.is_finite() { w.clamp(0.0, 1e30) + 1e-5 } else { 1e-5 };
+    let total: f32 = weights.iter().map(weight).sum();
     let mut cdf = Vec::with_capacity(bins.len());
     cdf.push(0.0);
     let mut sum = 0.0;
     for w in weights {
-        sum += (w.max(0.0) + 1e-5) / total;
+        sum += weight(w) / total;
         cdf.push(sum.min(1.0));
     }
     if let Some(last) = cdf.last_mut() {

@@ -12,6 +12,7 @@ use risorius_formats::{AttributeTable, Camera, FormatError, atomic};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
+use crate::bounds;
 use crate::brick::store::SavedBrick;
 use crate::config::{FitSettings, ModelConfig, Spacing};
 use crate::data::TrainData;
@@ -128,7 +129,9 @@ impl SavedModel {
             FormatError::io(&path, "read", &e)
                 .with_hint("this folder holds no fitted avatar; make one with `trainer fit DATASET --out RUN`")
         })?;
-        Ok(serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(&path))?)
+        let saved: Self = serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(&path))?;
+        bounds::of_model(&saved).map_err(|problem| damaged(&path, &problem))?;
+        Ok(saved)
     }
 
     /// Builds the model and fills in the weights of `model.safetensors`.
@@ -136,6 +139,7 @@ impl SavedModel {
         let path = run.join("model.safetensors");
         let bytes = std::fs::read(&path).map_err(|e| FormatError::io(&path, "read", &e))?;
         let tensors = SafeTensors::deserialize(&bytes).map_err(|e| damaged(&path, &e))?;
+        bounds::of_confies(confies, bytes.len()).map_err(|problem| damaged(&run.join("model.json"), &problem))?;
         let groups = region_groups(&self.table);
         let model = ConfiesModel::new(&confies.model, &groups, confies.frames, 0, device);
         let mut filler = Filler { tensors: &tensors, path: Vec::new(), problem: None };

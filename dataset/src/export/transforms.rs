@@ -63,7 +63,7 @@ impl TransformsFrame {
         let m = &self.transform_matrix;
         let numbers = [self.fl_x, self.fl_y, self.cx, self.cy, self.k1, self.k2, self.k3, self.p1, self.p2];
         let finite = m.iter().flatten().chain(&numbers).all(|v| v.is_finite());
-        if !finite || self.fl_x <= 0.0 || self.fl_y <= 0.0 {
+        if !finite || self.fl_x <= 0.0 || self.fl_y <= 0.0 || self.w == 0 || self.h == 0 {
             return None;
         }
         let row = |i: usize| DVec3::new(m[i][0], m[i][1], m[i][2]);

@@ -17,7 +17,7 @@ use risorius_formats::head_hull::world_from_head;
 use risorius_formats::intensities;
 use risorius_formats::nerfies::{self, Dataset};
 use risorius_formats::pose_report::PoseMethod;
-use risorius_formats::{ActionUnit, AttributeTable, ErrorKind, FormatError, Isometry, Reporter};
+use risorius_formats::{ActionUnit, AttributeTable, ErrorKind, FormatError, Isometry, Reporter, package};
 
 use crate::build::DATASET_FILE;
 use crate::error::{DatasetError, Result};
@@ -76,6 +76,7 @@ pub fn import(from: &Path, out: &Path, options: &ImportOptions, reporter: &dyn R
         None => foreign::read(from, layout, options, reporter)?,
     };
     let pictures = layout::pictures(from, layout, &imported.dataset)?;
+    check_files(from, &imported, &pictures)?;
     let staging = AtomicDir::create(out)?;
     let report = write(&imported, &pictures, staging.path(), reporter)?;
     if reporter.cancelled() {
@@ -83,6 +84,20 @@ pub fn import(from: &Path, out: &Path, options: &ImportOptions, reporter: &dyn R
     }
     staging.commit()?;
     Ok(report)
+}
+
+/// Fails where a file that would be copied leads out of the folder: what it links to was never given.
+fn check_files(from: &Path, imported: &Imported, pictures: &[Picture]) -> Result<()> {
+    for (path, scale, id) in pictures {
+        package::check_file(from, path)?;
+        if let Some(masks) = &imported.masks {
+            for path in [nerfies::region_path, nerfies::valid_path, nerfies::head_path] {
+                package::check_file(from, path(masks, *scale, id))?;
+            }
+        }
+    }
+    imported.cameras.values().try_for_each(|path| package::check_file(from, path))?;
+    Ok(())
 }
 
 /// An export of ours.

@@ -14,6 +14,11 @@ use serde::Serialize;
 use crate::openface::{self, ReadOptions};
 use crate::{ActionUnit, ErrorKind, FormatError, Reporter, Result, Track};
 
+/// Times beyond a year are damage.
+const LATEST_SECS: f64 = 366.0 * 86_400.0;
+/// Rows closer than this stand at the same time.
+const SHORTEST_SECS: f64 = 1e-6;
+
 /// What a table was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -73,9 +78,9 @@ impl Curves {
         let times: Vec<f64> =
             track.rows.iter().map(|r| r.timestamp_secs.unwrap_or(f64::from(r.frame.0) / 30.0)).collect();
         // OpenFace writes two or three decimals: repeated times at high frame rates would not rise.
-        let rising = times.windows(2).all(|w| w[1] > w[0]);
+        let rising = times.windows(2).all(|w| w[1] > w[0]) && times.iter().all(|t| t.abs() <= LATEST_SECS);
         let span = times.last().copied().unwrap_or(0.0) - times.first().copied().unwrap_or(0.0);
-        let step = if span > 0.0 { span / (times.len() - 1) as f64 } else { 1.0 / 30.0 };
+        let step = if span > 0.0 && span <= LATEST_SECS { span / (times.len() - 1) as f64 } else { 1.0 / 30.0 };
         let first = track.rows.first().map_or(0, |r| r.frame.0);
         let even = |i: usize| f64::from(track.rows[i].frame.0 - first) * step;
         let valid = |i: usize| track.rows[i].is_valid(min_confidence);
@@ -109,12 +114,16 @@ impl Curves {
         Some(self.rows.iter().map(|r| r[column]).collect())
     }
 
-    /// Checks what every reader owes: as many rows as times, rising times.
+    /// Checks what every reader owes: as many rows as times, rising times within a year.
     fn checked(self) -> Result<Self> {
         if self.rows.is_empty() {
             return Err(FormatError::new(ErrorKind::Empty, "has a header and no rows"));
         }
-        if let Some(i) = self.times_secs.windows(2).position(|w| w[1] <= w[0]) {
+        if let Some(i) = self.times_secs.iter().position(|t| !(0.0..=LATEST_SECS).contains(&t.abs())) {
+            let message = format!("`{}` s is no time of a recording", self.times_secs[i]);
+            return Err(FormatError::new(ErrorKind::Limits, message).at_line(i as u64 + 2));
+        }
+        if let Some(i) = self.times_secs.windows(2).position(|w| w[1] - w[0] < SHORTEST_SECS) {
             let message =
                 format!("time stands still or goes back ({} s to {} s)", self.times_secs[i], self.times_secs[i + 1]);
             return Err(FormatError::new(ErrorKind::Inconsistent, message).at_line(i as u64 + 3));

@@ -16,6 +16,8 @@ use crate::{Camera, ErrorKind, FormatError, Intrinsics, Isometry, Result};
 const REPAIR_ABOVE: f64 = 1e-4;
 /// Above this deviation it is no rotation with rounding errors but something else.
 const REFUSE_ABOVE: f64 = 0.1;
+/// Numbers beyond this, and their inverses, come from damage, whatever the unit.
+const LARGEST: f64 = 1e12;
 /// No camera has more pixels along a side.
 const MAX_SIDE_PX: f64 = 1e6;
 
@@ -123,7 +125,14 @@ pub fn parse_camera(bytes: &[u8]) -> Result<Camera> {
         },
     };
     let position = DVec3::from(raw.position);
-    Ok(Camera { intrinsics, camera_from_world: Isometry::new(rotation, -(rotation * position)) })
+    let camera = Camera { intrinsics, camera_from_world: Isometry::new(rotation, -(rotation * position)) };
+    let k = &camera.intrinsics;
+    let lens = [k.fx, k.fy, 1.0 / k.fx, 1.0 / k.fy, k.cx, k.cy, k.skew];
+    let all = lens.into_iter().chain(camera.camera_from_world.translation.to_array());
+    if let Some(bad) = all.into_iter().find(|v| !(0.0..=LARGEST).contains(&v.abs())) {
+        return Err(inconsistent(format!("a focal length, position or principal point comes to {bad}")));
+    }
+    Ok(camera)
 }
 
 /// Reads `camera/<id>.json`.

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Dataset, Extras, FrameMetadata, camera, camera_path, yaml};
 use crate::pose_report::{json_error, write_json};
-use crate::{ErrorKind, FormatError, Result, SceneBounds, atomic};
+use crate::{ErrorKind, FormatError, Result, SceneBounds, atomic, package};
 
 #[derive(Serialize, Deserialize)]
 struct DatasetFile {
@@ -55,18 +55,22 @@ pub fn check_id(id: &str) -> Result<()> {
         .with_hint("ids are plain names such as `000123`"))
 }
 
-fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
+/// Reads a file of the folder `dir`.
+fn read_json<T: DeserializeOwned>(dir: &Path, path: &Path) -> Result<T> {
+    package::check_file(dir, path)?;
     let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, "read", &e))?;
     serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(path))
 }
 
 /// A file that every dataset has, beside the one that makes it a dataset.
-fn read_part<T: DeserializeOwned>(path: &Path) -> Result<T> {
-    read_json(path).map_err(|e| e.with_hint(DAMAGED))
+fn read_part<T: DeserializeOwned>(dir: &Path, path: &Path) -> Result<T> {
+    package::check_file(dir, path)?;
+    read_json(dir, path).map_err(|e| e.with_hint(DAMAGED))
 }
 
 /// The bytes of a file that may be absent.
-fn read_optional(path: &Path) -> Result<Vec<u8>> {
+fn read_optional(dir: &Path, path: &Path) -> Result<Vec<u8>> {
+    package::check_file(dir, path)?;
     match std::fs::read(path) {
         Ok(bytes) => Ok(bytes),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(Vec::new()),
@@ -86,7 +90,7 @@ pub(super) fn read(dir: &Path) -> Result<Dataset> {
             .with_hint("a dataset is made by `dataset build TAKE --balance --out DATASET`"));
     }
     let path = dir.join("dataset.json");
-    let file: DatasetFile = read_json(&path).map_err(|e| match e.kind() {
+    let file: DatasetFile = read_json(dir, &path).map_err(|e| match e.kind() {
         ErrorKind::Io => {
             e.with_hint("this folder is not a dataset; make one with `dataset build TAKE --balance --out DATASET`")
         }
@@ -95,7 +99,7 @@ pub(super) fn read(dir: &Path) -> Result<Dataset> {
     check_ids(&file).map_err(|e| e.in_file(&path))?;
 
     let path = dir.join("metadata.json");
-    let mut all: BTreeMap<String, FrameMetadata> = read_part(&path)?;
+    let mut all: BTreeMap<String, FrameMetadata> = read_part(dir, &path)?;
     let mut metadata = BTreeMap::new();
     for id in &file.ids {
         let entry = all.remove(id).ok_or_else(|| inconsistent(&path, format!("has nothing about `{id}`")))?;
@@ -103,7 +107,7 @@ pub(super) fn read(dir: &Path) -> Result<Dataset> {
     }
 
     let path = dir.join("scene.json");
-    let raw: SceneFile = read_part(&path)?;
+    let raw: SceneFile = read_part(dir, &path)?;
     let scene =
         SceneBounds { center_in_world: DVec3::from(raw.center), scale: raw.scale, near: raw.near, far: raw.far };
     if !scene.is_valid() {
@@ -114,13 +118,18 @@ pub(super) fn read(dir: &Path) -> Result<Dataset> {
         return Err(inconsistent(&path, message));
     }
 
-    let cameras = file.ids.iter().map(|id| Ok((id.clone(), camera::read_camera(camera_path(dir, id))?)));
-    let cameras = cameras.collect::<Result<_>>()?;
+    let camera = |id: &String| {
+        let path = camera_path(dir, id);
+        package::check_file(dir, &path)?;
+        Ok((id.clone(), camera::read_camera(path)?))
+    };
+    let cameras = file.ids.iter().map(camera).collect::<Result<_>>()?;
 
     let path = dir.join("mapping.yml");
-    let mapping = yaml::parse_mapping(&read_optional(&path)?).map_err(|e| e.in_file(&path))?;
+    let mapping = yaml::parse_mapping(&read_optional(dir, &path)?).map_err(|e| e.in_file(&path))?;
     let path = dir.join("annotations.yml");
-    let annotations = yaml::parse_annotations(&read_optional(&path)?, mapping.len()).map_err(|e| e.in_file(&path))?;
+    let annotations =
+        yaml::parse_annotations(&read_optional(dir, &path)?, mapping.len()).map_err(|e| e.in_file(&path))?;
 
     if file.risorius.is_some() && (mapping.is_empty() || annotations.is_empty()) {
         // Plain folders of the family may go without; in ours every frame would be taken for neutral.
@@ -152,6 +161,15 @@ fn check_ids(file: &DatasetFile) -> Result<()> {
         }
     }
     if let Some(extras) = &file.risorius {
+        let points = extras.head_hull_in_world.iter().flatten().chain([&extras.head_center]);
+        // Written so that a NaN is refused.
+        let sane = |v: f64| v.abs() <= 1e12;
+        let radius = extras.head_radius;
+        if !points.into_iter().all(|p| p.to_array().into_iter().all(sane))
+            || !(radius == 0.0 || (1e-12..=1e12).contains(&radius))
+        {
+            return fail(format!("`risorius`: the head's place, hull or radius ({radius}) makes no sense"));
+        }
         extras.ids_without_masks.iter().try_for_each(|id| check_id(id))?;
     }
     Ok(())

@@ -131,7 +131,8 @@ fn line_at(bytes: &[u8], start: usize) -> u64 {
 fn number(raw: &[u8]) -> Result<Option<f64>, ()> {
     let text = cell(raw);
     if let Ok(value) = fast_float2::parse::<f64, _>(text) {
-        return Ok(Some(value).filter(|v| v.is_finite()));
+        // Also what is too large for the 32 bits it is kept in.
+        return Ok(Some(value).filter(|v| v.abs() <= f64::from(f32::MAX)));
     }
     let text = text.to_ascii_lowercase();
     let unsigned = text.strip_prefix(b"-").unwrap_or(&text);

@@ -31,8 +31,8 @@ pub fn solve(
         return None;
     }
     let mut pose = match start {
-        Some(pose) => *pose,
-        None => orthographic(shape, seen, weights)?,
+        Some(pose) if pose.rotation.is_finite() && pose.translation.is_finite() => *pose,
+        _ => orthographic(shape, seen, weights)?,
     };
     let mut damping = 1e-4;
     let mut current = cost(shape, seen, weights, error_scale, &pose)?;
@@ -66,7 +66,9 @@ pub fn solve(
     let squares: f64 = errors(shape, seen, &pose).zip(weights).map(|(e, w)| w * e.length_squared()).sum();
     // Rounding leaves a rotation that is no longer quite one.
     let rotation = DMat3::from_quat(glam::DQuat::from_mat3(&pose.rotation).normalize());
-    Some((Isometry::new(rotation, pose.translation), (squares / total).sqrt()))
+    let error = (squares / total).sqrt();
+    let found = rotation.is_finite() && pose.translation.is_finite() && error.is_finite();
+    found.then_some((Isometry::new(rotation, pose.translation), error))
 }
 
 fn errors<'a>(shape: &'a [DVec3], seen: &'a [DVec2], pose: &'a Isometry) -> impl Iterator<Item = DVec2> + 'a {

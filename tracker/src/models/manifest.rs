@@ -3,7 +3,7 @@
 use serde::Deserialize;
 
 use risorius_formats::au::OPENFACE_INTENSITIES;
-use risorius_formats::{ActionUnit, ErrorKind, FormatError};
+use risorius_formats::{ActionUnit, ErrorKind, FormatError, package};
 
 /// The layout of the manifest that this program knows.
 pub const VERSION: u32 = 1;
@@ -197,6 +197,9 @@ impl Manifest {
             let message = format!("version {} is not known to this program, which reads {VERSION}", self.version);
             return Err(FormatError::new(ErrorKind::Unsupported, message));
         }
+        for (file, _) in self.files() {
+            package::check_relative(file)?;
+        }
         let (d, l) = (&self.detector, &self.landmarks);
         for (table, width, height) in [("detector", d.width, d.height), ("landmarks", l.width, l.height)] {
             if !(16..=2048).contains(&width) || !(16..=2048).contains(&height) {
@@ -205,6 +208,11 @@ impl Manifest {
         }
         if l.width != l.height {
             return fail("[landmarks]: the crop has to be square: `width` = `height`".to_owned());
+        }
+        for (name, value) in [("detector.mean", d.mean), ("landmarks.mean", l.mean)] {
+            if !value.is_finite() {
+                return fail(format!("`{name}` has to be a number, not {value}"));
+            }
         }
         let positive = [("detector.scale", d.scale), ("landmarks.scale", l.scale), ("landmarks.margin", l.margin)];
         for (name, value) in positive {

@@ -88,10 +88,11 @@ impl Spline {
         }
         let camera_a_from_world = knots[a].world_from_camera.inverse();
         let used: Vec<&Knot> = knots[start..=end].iter().collect();
-        // Repeated times (a stuck clock) would divide by zero: they are pushed apart by a nanosecond.
+        // Repeated times (a stuck clock) would divide by zero: they are pushed apart by a nanosecond, or by what a late time
+        // can be told apart by.
         let mut secs: Vec<f64> = used.iter().map(|k| k.secs).collect();
         for i in 1..secs.len() {
-            secs[i] = secs[i].max(secs[i - 1] + 1e-9);
+            secs[i] = secs[i].max(secs[i - 1] + 1e-9f64.max(secs[i - 1].abs() * 1e-14));
         }
         let values =
             used.iter().map(|k| se3::log(&camera_a_from_world.compose(&k.world_from_camera)).to_array()).collect();

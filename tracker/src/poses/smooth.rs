@@ -14,7 +14,7 @@ pub fn smooth(poses: &[Isometry], secs: &[f64], half_window_secs: f64) -> Vec<Is
     let middle = |i: usize| {
         let from = secs.partition_point(|&s| s < secs[i] - half_window_secs);
         let to = secs.partition_point(|&s| s <= secs[i] + half_window_secs);
-        if to - from < 5 {
+        if to < from + 5 {
             return poses[i];
         }
         // Parabola a + b t + c t² by least squares; only a, the value at t = 0, is wanted. Tricube weights fade out.

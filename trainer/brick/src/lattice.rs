@@ -145,6 +145,7 @@ pub(crate) unsafe fn gather<S: Simd>(
     corners: &Corners,
     weights: &[f32; 8],
 ) -> S::Q {
+    // SAFETY: the caller promises that every corner has its row.
     unsafe {
         let p = values.as_ptr().add(offset);
         let mut sum = S::q_splat(0.0);
@@ -170,6 +171,7 @@ pub(crate) unsafe fn scatter<S: Simd>(
     weights: &[f32; 8],
     d: S::Q,
 ) {
+    // SAFETY: the caller promises that every corner has its row.
     unsafe {
         let len = grads.len();
         let p = grads.as_mut_ptr().add(offset);
@@ -194,6 +196,7 @@ pub(crate) unsafe fn dots<S: Simd>(
     corners: &Corners,
     d: S::Q,
 ) -> [f32; 8] {
+    // SAFETY: the caller promises that every corner has its row.
     unsafe {
         let p = values.as_ptr().add(offset);
         std::array::from_fn(|k| S::q_dot(d, S::q_load(p.add(corners.index[k] as usize * stride))))

@@ -7,9 +7,13 @@ use crate::sixteen::Each;
 /// Edge of a part.
 const EDGE: f32 = 2.0 / PARTS as f32;
 
-/// Where a ray enters and leaves [−1, 1]³; entry ≥ exit when it misses.
+/// Where a ray enters and leaves [−1, 1]³; entry ≥ exit when it misses, goes nowhere or is no ray.
 pub fn crossing(origin: [f32; 3], direction: [f32; 3]) -> (f32, f32) {
     let (mut enter, mut exit) = (0.0f32, f32::MAX);
+    // A march whose way has no end, or no number for one, would never be through.
+    if !origin.iter().chain(&direction).all(|v| v.is_finite()) {
+        return (1.0, 0.0);
+    }
     for a in 0..3 {
         if direction[a].abs() < 1e-12 {
             // Parallel to these planes: inside for good, or never (1/0 would give NaN on the border).
@@ -23,7 +27,7 @@ pub fn crossing(origin: [f32; 3], direction: [f32; 3]) -> (f32, f32) {
         enter = enter.max(t0.min(t1));
         exit = exit.min(t0.max(t1));
     }
-    (enter, exit)
+    if exit == f32::MAX { (1.0, 0.0) } else { (enter, exit) }
 }
 
 /// A ray on its way.

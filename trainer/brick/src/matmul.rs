@@ -46,6 +46,7 @@ unsafe fn block<S: Simd, const IN: usize, const OUT: usize, const R: usize, cons
     column: usize,
     relu: bool,
 ) {
+    // SAFETY: `product` asserts the lengths, and asks for blocks inside them only.
     unsafe {
         let mut sum = [[S::splat(0.0); C]; R];
         for i in 0..IN {

@@ -15,6 +15,8 @@ use crate::table::Table;
 
 /// Numbers of a latent code ω.
 pub const LATENT: usize = 8;
+/// A direction of unit length has no larger part, with room for lengths that are not quite 1.
+const STEEPEST: f32 = 10.0;
 /// Vertices along each edge of the latent displacement's lattice.
 const LATENT_VERTICES: usize = 16;
 
@@ -51,7 +53,8 @@ impl BackgroundFrame {
     /// Dividing by the depth turns lines into lines: with d = 1/depth, x/depth is linear in d along a ray.
     #[inline(always)]
     pub fn march(&self, origin: [f32; 3], direction: [f32; 3], planes: usize, jitter: f32) -> Option<March> {
-        if direction[2] <= 0.05 {
+        // Directions are of unit length: what fails this is none, or looks away.
+        if !(direction[2] > 0.05 && direction[0].abs() <= STEEPEST && direction[1].abs() <= STEEPEST) {
             return None;
         }
         let at = |disparity: f32, s: f32| {

@@ -7,6 +7,10 @@
     clippy::missing_safety_doc,
     reason = "all operations: the instruction set must be present, pointers must be valid"
 )]
+#![allow(
+    clippy::undocumented_unsafe_blocks,
+    reason = "each is one instruction or one access: what makes it sound stands once, above and at the trait"
+)]
 
 #[cfg(target_arch = "x86_64")]
 mod x86;
@@ -14,6 +18,11 @@ mod x86;
 use std::sync::OnceLock;
 
 /// The operations that the kernels are made of.
+///
+/// # Safety
+/// What every operation asks of its caller: the machine has the instruction set (only [`run_at`] hands out a set, and never
+/// one that the machine lacks); pointers to 16 or 4 numbers are valid for as many, at any alignment; each index of a
+/// gather lies inside what `p` points to.
 pub trait Simd: Copy + 'static {
     /// 16 numbers.
     type V: Copy;

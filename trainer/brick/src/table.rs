@@ -166,7 +166,8 @@ impl Update {
         let adam = &self.adam;
         *m = adam.beta1 * *m + (1.0 - adam.beta1) * g;
         *v = adam.beta2 * *v + (1.0 - adam.beta2) * g * g;
-        *value -= rate * (*m * self.correct1) / ((*v * self.correct2).sqrt() + adam.epsilon);
+        // The corrected rate first: the corrected moment of a huge gradient would overflow, and inf/inf is no number.
+        *value -= (rate * self.correct1) * *m / ((*v * self.correct2).sqrt() + adam.epsilon);
     }
 
     /// Updates numbers of one block, and clears their gradients.

@@ -15,6 +15,7 @@ use super::hull::RegionHull;
 use super::layout;
 use super::store::{self, Content, SavedBrick};
 use super::views::TrainViews;
+use crate::bounds;
 use crate::data::TrainData;
 use crate::error::{Result, TrainerError};
 use crate::fit::checkpoint::{self, CheckpointState};
@@ -101,6 +102,10 @@ pub fn fit(
             hint: "use `--field confies`".to_owned(),
         });
     }
+    bounds::of_settings(settings).map_err(|message| TrainerError::Setting {
+        message,
+        hint: "`--set KEY=VALUE` and the run's settings.toml change settings".to_owned(),
+    })?;
     let started = Instant::now();
     let views = TrainViews::new(data, settings.region_share);
     let (mut fitter, seconds_before) = start(data, settings, run, resume)?;
@@ -209,6 +214,7 @@ fn start(data: &TrainData, settings: &BrickSettings, run: &Path, resume: bool) -
     let file = path.join("brick.json");
     let bytes = std::fs::read(&file).map_err(|e| risorius_formats::FormatError::io(&file, "read", &e))?;
     let brick: BrickState = serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(&file))?;
+    bounds::of_progress(&brick.progress).map_err(|problem| crate::saved::damaged(&file, &problem))?;
     let read = store::read(&path.join("state.safetensors"), &brick.saved, Content::Checkpoint, &PENDING)?;
     let mut fitter = Fitter::new(read.model, settings.step.clone(), brick.progress);
     fitter.set_pending_weights(&read.more);

@@ -1,4 +1,5 @@
-//! The brick field on disk: named tensors in safetensors, and what describes them.
+//! The brick field on disk: named tensors in safetensors, and what describes them. What is not finite is neither written
+//! nor read.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -13,6 +14,7 @@ use safetensors::tensor::{Dtype, SafeTensors};
 use serde::{Deserialize, Serialize};
 
 use super::plate::Plate;
+use crate::bounds;
 use crate::error::Result;
 use crate::saved::damaged;
 
@@ -226,6 +228,14 @@ pub fn write(
     let mut gather = Gather::default();
     visit(model, content, &mut gather);
     let Gather(mut arrays) = gather;
+    // A fit that went wrong must not take the place of the checkpoint before it.
+    for (name, array) in &arrays {
+        if let Array::Floats(values, _) = array
+            && let Some(bad) = values.iter().find(|v| !v.is_finite())
+        {
+            return Err(damaged(path, &format!("`{name}` holds {bad}: nothing is written")));
+        }
+    }
     if let Some(plate) = plate {
         arrays.push(("plate".to_owned(), Array::Bytes(&plate.rgb, [plate.rgb.len()])));
     }
@@ -260,6 +270,7 @@ pub struct Read {
 pub fn read(path: &Path, saved: &SavedBrick, content: Content, more: &[&str]) -> Result<Read> {
     let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, "read", &e))?;
     let tensors = SafeTensors::deserialize(&bytes).map_err(|e| damaged(path, &e))?;
+    bounds::of_brick(saved, bytes.len()).map_err(|problem| damaged(path, &problem))?;
     let mut model = Brick::new(saved.layout.clone(), 0, |_| 0);
     let mut fill = Fill { tensors, problem: None };
     visit(&mut model, content, &mut fill);
@@ -300,10 +311,17 @@ fn settle(model: &mut Brick, content: Content) -> std::result::Result<(), String
             return Err(format!("`{name}` has {} bricks, expected {expected}", lattice.slot.len()));
         }
         lattice.slots = lattice.slot.iter().max().map_or(0, |&m| m as usize + 1);
+        if lattice.slots > expected + 1 {
+            return Err(format!("`{name}` names brick {} of {expected}", lattice.slots - 1));
+        }
         Ok(())
     };
     let table = |name: &str, table: &mut Table, blocks: usize| {
         let n = blocks * table.block;
+        // Before anything is made at the size that a damaged lattice asks for.
+        if table.values.len() != n {
+            return Err(format!("`{name}` has {} numbers, expected {n}", table.values.len()));
+        }
         if fresh {
             table.first = vec![0.0; n];
             table.second = vec![0.0; n];
@@ -346,6 +364,9 @@ fn settle(model: &mut Brick, content: Content) -> std::result::Result<(), String
     }
     if e.slots_of.iter().flatten().any(|&s| s as usize >= e.lattice.slots) {
         return Err("a region names a brick that is not there".to_owned());
+    }
+    if e.slots_of.iter().any(|slots| !slots.is_sorted_by(|a, b| a < b)) {
+        return Err("the bricks of a region are not in order".to_owned());
     }
     e.list_vertices();
     for (k, residual) in e.residuals.iter_mut().enumerate() {

@@ -14,8 +14,8 @@ pub struct Icc {
     pub icc_3_1: f64,
 }
 
-/// ICC of `ratings[target][rater]`; `None` for fewer than two targets or raters, unequal rows, values that are not finite, or
-/// when nothing varies at all.
+/// ICC of `ratings[target][rater]`; `None` for fewer than two targets or raters, unequal rows, values that are not finite or
+/// whose squares are not, or when nothing varies at all.
 pub fn icc(ratings: &[Vec<f64>]) -> Option<Icc> {
     let (n, k) = (ratings.len(), ratings.first()?.len());
     if n < 2 || k < 2 || ratings.iter().any(|r| r.len() != k || r.iter().any(|v| !v.is_finite())) {
@@ -38,15 +38,16 @@ pub fn icc(ratings: &[Vec<f64>]) -> Option<Icc> {
     if between + across + error <= f64::EPSILON * targets * raters * grand.abs().max(1.0).powi(2) {
         return None;
     }
-    Some(Icc {
+    let icc = Icc {
         icc_1_1: (ms_targets - ms_within) / (ms_targets + (raters - 1.0) * ms_within),
         icc_2_1: (ms_targets - ms_error)
             / (ms_targets + (raters - 1.0) * ms_error + raters * (ms_raters - ms_error) / targets),
         icc_3_1: (ms_targets - ms_error) / (ms_targets + (raters - 1.0) * ms_error),
-    })
+    };
+    [icc.icc_1_1, icc.icc_2_1, icc.icc_3_1].iter().all(|v| v.is_finite()).then_some(icc)
 }
 
-/// Pearson's correlation; `None` where one of the two does not vary.
+/// Pearson's correlation; `None` where one of the two does not vary, or a number or its square is not finite.
 pub fn correlation(pairs: &[[f64; 2]]) -> Option<f64> {
     let n = pairs.len() as f64;
     let mean: [f64; 2] = std::array::from_fn(|c| pairs.iter().map(|p| p[c]).sum::<f64>() / n);
@@ -55,7 +56,8 @@ pub fn correlation(pairs: &[[f64; 2]]) -> Option<f64> {
         let (x, y) = (p[0] - mean[0], p[1] - mean[1]);
         (xx, yy, xy) = (xx + x * x, yy + y * y, xy + x * y);
     }
-    (xx > 1e-12 && yy > 1e-12).then(|| xy / (xx * yy).sqrt())
+    // The roots one by one: the product of two large sums would overflow.
+    (xx > 1e-12 && yy > 1e-12).then(|| xy / (xx.sqrt() * yy.sqrt())).filter(|r| r.is_finite())
 }
 
 #[cfg(test)]

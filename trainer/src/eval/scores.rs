@@ -13,9 +13,16 @@ use crate::error::{Result, TrainerError};
 /// PSNR is capped here, also for identical images, so that it stays a number.
 pub const MAX_PSNR_DB: f64 = 100.0;
 
-/// `−10 log10(mse)`, dB, for values in 0–1.
+/// `−10 log10(mse)`, dB, for values in 0–1; a NaN stays one.
 pub fn psnr_from_mse(mse: f64) -> f64 {
-    if mse <= 0.0 { MAX_PSNR_DB } else { (-10.0 * mse.log10()).min(MAX_PSNR_DB) }
+    // `min` alone would take a NaN for the best there is.
+    if mse.is_nan() {
+        f64::NAN
+    } else if mse <= 0.0 {
+        MAX_PSNR_DB
+    } else {
+        (-10.0 * mse.log10()).min(MAX_PSNR_DB)
+    }
 }
 
 /// Mean squared error over all pixels and channels, values in 0–1.

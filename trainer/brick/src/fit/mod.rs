@@ -91,6 +91,9 @@ pub struct StepNumbers {
 const STAGES: [(f32, usize, f32, u64); 5] =
     [(0.15, 3, 14.0, 420), (0.25, 3, 14.0, 200), (0.40, 4, 16.0, 200), (0.60, 5, 20.0, 250), (1.00, 6, 0.0, u64::MAX)];
 
+/// The stage in which a fit ends.
+pub const LAST_STAGE: usize = STAGES.len() - 1;
+
 /// A fit in progress.
 #[derive(Debug)]
 pub struct Fitter {

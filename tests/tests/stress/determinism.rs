@@ -1,0 +1,91 @@
+//! The same inputs and seed give the same bytes: over repetitions, and over thread counts where the documentation promises
+//! it. (What `dataset build` promises is tested in `datasets.rs`, the kernels' threads in `trainer/tests/kernels.rs`.)
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use risorius_tests::binary;
+
+use crate::support::{text, tiny};
+
+/// Runs a command with a number of threads.
+fn with_threads(threads: &str, name: &str, args: &[&str]) {
+    let mut command = Command::new(binary(name));
+    command.args(args).env("RAYON_NUM_THREADS", threads);
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{name} {args:?}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![dir.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                found.insert(path.strip_prefix(dir).unwrap().to_owned(), std::fs::read(&path).unwrap());
+            }
+        }
+    }
+    found
+}
+
+fn same(a: &Path, b: &Path, but: &[&str]) {
+    let (a, b) = (files(a), files(b));
+    assert!(a.keys().eq(b.keys()), "{:?} and {:?}", a.keys(), b.keys());
+    for (path, bytes) in &a {
+        let differs_by_nature = but.iter().any(|name| path.ends_with(name));
+        assert!(differs_by_nature || b[path] == *bytes, "{} differs", path.display());
+    }
+    assert!(!a.is_empty());
+}
+
+#[test]
+fn captures_tracks_and_poses_repeat_themselves() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    for (capture, take, threads) in [("c1", "t1", "1"), ("c2", "t2", "3")] {
+        let (capture, take) = (at(capture), at(take));
+        // The video's encoder deals a picture's slices to its threads, and promises nothing about their number.
+        with_threads(
+            "2",
+            "synth",
+            &["-q", "--out", text(&capture), "--frames", "10", "--fps", "30", "--size", "64x96"],
+        );
+        // The same video for both: a take keeps the hash and the name of what it was made from.
+        let (video, table) = (at("c1").join("video.mp4"), at("c1").join("openface.csv"));
+        let (model, take) = (at("c1").join("truth_colmap"), text(&take));
+        with_threads(threads, "capture", &["-q", "record", "--input", text(&video), "--out", take]);
+        with_threads(threads, "tracker", &["-q", "import", take, "--openface", text(&table)]);
+        with_threads(threads, "tracker", &["-q", "poses", take, "--colmap-model", text(&model)]);
+    }
+    same(&at("c1"), &at("c2"), &[]);
+    // The report says how long it took.
+    same(&at("t1"), &at("t2"), &["report.json"]);
+}
+
+#[test]
+fn avatars_and_their_pictures_repeat_themselves() {
+    let tiny = tiny();
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let model = |run: &Path| std::fs::read(run.join("model.safetensors")).unwrap();
+    for (field, more) in [("brick", &["--steps", "20"][..]), ("confies", &["--preset", "tiny", "--steps", "2"])] {
+        let (run, data, given) = (at(field), tiny.join("data"), tiny.join(field));
+        let args = ["fit", text(&data), "--out", text(&run), "--field", field, "-q"];
+        // As many threads as the fixture took: a fit of the brick field depends on their number.
+        assert!(Command::new(binary("trainer")).args(args).args(more).status().unwrap().success());
+        assert!(model(&run) == model(&given), "{field}: another fit, another avatar");
+        std::fs::remove_dir_all(&run).unwrap();
+        for threads in ["1", "2", "5"] {
+            let out = at(&format!("{field}-{threads}"));
+            let args = ["render", text(&given), "--orbit", "2", "--au", "AU12=4", "--depth", "--masks", "-q"];
+            with_threads(threads, "trainer", &[&args[..], &["--out", text(&out)]].concat());
+        }
+        same(&at(&format!("{field}-1")), &at(&format!("{field}-2")), &[]);
+        same(&at(&format!("{field}-1")), &at(&format!("{field}-5")), &[]);
+    }
+}

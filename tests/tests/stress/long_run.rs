@@ -1,0 +1,122 @@
+//! A long fit of a tiny scene: no drift, no number that is none, no growth of memory.
+
+use rand::Rng as _;
+use rand_chacha::ChaCha8Rng;
+use risorius_brick::{BackgroundFrame, Brick, Fitter, HeadBox, Layout, Pixel, Progress, Settings, Views, math};
+
+/// A ball that changes its colour with one AU, in front of a wall.
+struct Ball;
+
+const VIEWS: usize = 8;
+
+fn stands(view: usize) -> [f32; 3] {
+    let (sin, cos) = ((view as f32 / VIEWS as f32 - 0.5) * 0.8).sin_cos();
+    [2.0 * sin, 0.0, -2.0 * cos]
+}
+
+impl Views for Ball {
+    fn count(&self) -> usize {
+        VIEWS
+    }
+
+    fn origin(&self, view: usize) -> [f32; 3] {
+        stands(view)
+    }
+
+    fn attributes(&self, view: usize) -> Option<&[f32]> {
+        Some(if view.is_multiple_of(2) { &[1.0] } else { &[-1.0] })
+    }
+
+    fn draw(&self, view: usize, rng: &mut ChaCha8Rng, rays: usize, out: &mut Vec<Pixel>) {
+        let origin = stands(view);
+        let (sin, cos) = (origin[0] / 2.0, -origin[2] / 2.0);
+        for _ in 0..rays {
+            let (u, v) = (rng.random::<f32>() - 0.5, rng.random::<f32>() - 0.5);
+            let d = [u * cos - sin, v, u * sin + cos];
+            let length = math::dot(d, d).sqrt();
+            let direction = d.map(|x| x / length);
+            let along = -math::dot(origin, direction);
+            let nearest: [f32; 3] = std::array::from_fn(|a| origin[a] + along * direction[a]);
+            let ball = math::dot(nearest, nearest) < 0.09;
+            let color = match (ball, view.is_multiple_of(2)) {
+                (true, true) => [0.9, 0.2, 0.1],
+                (true, false) => [0.1, 0.3, 0.8],
+                (false, _) => [0.4, 0.5, 0.3],
+            };
+            out.push(Pixel { direction, color, backdrop: None, label: Some(u8::from(ball)) });
+        }
+    }
+}
+
+fn fitter() -> Fitter {
+    let layout = Layout {
+        head_box: HeadBox { center: [0.0; 3], half: 0.6 },
+        background: Some(BackgroundFrame {
+            position: [0.0, 0.0, -2.0],
+            axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            near: 2.6,
+            far: 7.0,
+            middle: [0.0; 2],
+            extent: [1.0; 2],
+        }),
+        region_of: vec![0],
+        regions: 1,
+        images: VIEWS,
+        expression_vertices: 16,
+        finest: 128,
+    };
+    let model = Brick::new(layout, 0, |p| u8::from(math::dot(p, p) < 0.2));
+    let settings =
+        Settings { samples: 1_500, images: 2, finest: [48, 48], refine_cameras: true, ..Settings::default() };
+    Fitter::new(model, settings, Progress::default())
+}
+
+/// Fits for `steps` and gives the mean colour error and the memory in use of each tenth.
+fn fit(steps: u64) -> Vec<(f64, usize)> {
+    let mut fit = fitter();
+    let mut tenths = Vec::new();
+    for _ in 0..10 {
+        let (mut sum, mut count) = (0.0, 0);
+        for i in 0..steps / 10 {
+            // The learning rate of the middle of a fit throughout: it must hold, not fade out.
+            let n = fit.step(&Ball, 0.5);
+            let step = fit.progress.step;
+            assert!(n.color.is_finite() && n.mask.is_finite() && n.attribute.is_finite(), "step {step} gives {n:?}");
+            if i >= steps / 20 {
+                (sum, count) = (sum + n.color, count + 1);
+            }
+        }
+        tenths.push((sum / f64::from(count.max(1)), crate::MEMORY.current_usage()));
+        let parts = [Some(&fit.model.head), fit.model.background.as_ref()];
+        let tables = parts.into_iter().flatten().flat_map(|p| p.field.features.iter().chain([&p.field.net]));
+        for table in tables.chain([&fit.model.expression.masks, &fit.model.codes, &fit.model.motions]) {
+            assert!(
+                table.values.iter().chain(&table.first).chain(&table.second).all(|v| v.is_finite()),
+                "step {}",
+                fit.progress.step
+            );
+        }
+    }
+    tenths
+}
+
+fn judge(tenths: &[(f64, usize)]) {
+    for (i, (error, bytes)) in tenths.iter().enumerate() {
+        eprintln!("tenth {}: colour error {error:.3e} ({:.1} dB), {} MiB", i + 1, -10.0 * error.log10(), bytes >> 20);
+    }
+    let (early, last) = (tenths[3], tenths[9]);
+    assert!(last.0 <= 1.5 * early.0, "the error grew from {:.3e} to {:.3e}", early.0, last.0);
+    assert!(last.1 <= early.1 + early.1 / 20 + (4 << 20), "memory grew from {} to {} bytes", early.1, last.1);
+}
+
+#[test]
+fn a_thousand_steps_neither_drift_nor_grow() {
+    judge(&fit(1_000));
+}
+
+#[test]
+#[ignore = "minutes: the long part"]
+fn two_hundred_thousand_steps_neither_drift_nor_grow() {
+    let steps = std::env::var("RISORIUS_STEPS").ok().and_then(|v| v.parse().ok()).unwrap_or(200_000);
+    judge(&fit(steps));
+}
