@@ -29,6 +29,32 @@ pub fn mlp(x: Tensor<2>, params: Tensor<1>, spec: &MlpSpec) -> Tensor<2> {
     hidden
 }
 
+/// Twin of [`mlp_forward_with_ray`](super::mlp_forward_with_ray): the ray's products are done once per ray.
+pub fn mlp_with_ray(x: Tensor<2>, ray: Tensor<2>, params: Tensor<1>, spec: &MlpSpec) -> Tensor<2> {
+    let ([rows, a], [rays, b]) = (x.dims(), ray.dims());
+    let mut start = 0;
+    let mut hidden = x.clone();
+    for (layer, (inputs, cols)) in spec.layers(a + b).enumerate() {
+        let weights = params.clone().narrow(0, start, inputs * cols).reshape([inputs, cols]);
+        let bias = params.clone().narrow(0, start + inputs * cols, cols).reshape([1, cols]);
+        start += (inputs + 1) * cols;
+        let skips = layer > 0 && spec.skip == Some(layer);
+        hidden = if layer == 0 || skips {
+            let of_rows = weights.clone().narrow(0, 0, inputs - b);
+            let of_ray = ray.clone().matmul(weights.narrow(0, inputs - b, b)) + bias;
+            let rows_in = if skips { Tensor::cat(vec![hidden, x.clone()], 1) } else { hidden };
+            let product = rows_in.matmul(of_rows).reshape([rays, rows / rays, cols]);
+            (product + of_ray.unsqueeze_dim::<3>(1)).reshape([rows, cols])
+        } else {
+            hidden.matmul(weights) + bias
+        };
+        if layer < spec.depth {
+            hidden = relu(hidden);
+        }
+    }
+    hidden
+}
+
 /// Twin of [`grouped_mlp_forward`](super::grouped_mlp_forward).
 pub fn grouped_mlp(shared: Tensor<2>, own: Tensor<2>, params: Tensor<2>, spec: &MlpSpec) -> Tensor<2> {
     let ([_, shared_size], [_, own_size], [groups, count]) = (shared.dims(), own.dims(), params.dims());
