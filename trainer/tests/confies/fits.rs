@@ -39,17 +39,15 @@ fn a_resumed_fit_is_the_uninterrupted_one_to_the_bit() {
         let steps = |run: &Path| checkpoint::list(run).into_iter().map(|(step, _)| step).collect::<Vec<_>>();
         // Only the newest two are kept.
         assert_eq!(steps(&parted), [20, 30]);
-        // Weights and moments carry their parameters' identities, which are the run's own.
-        let state = || {
-            let file = |name: &str| fs::read(parted.join("checkpoints/step-00000030").join(name)).unwrap();
-            [file("weights.bpk"), file("optimizer.bpk")]
-        };
-        let before = state();
+        // Ten steps of Adam from the older checkpoint on: weights come out the same only if its moments, its count of
+        // steps and the rays drawn are. (Weights carry their parameters' identities, which are the run's own.)
+        let weights = || fs::read(parted.join("checkpoints/step-00000030/weights.bpk")).unwrap();
+        let before = weights();
         fs::remove_dir_all(parted.join("checkpoints/step-00000030")).unwrap();
         fs::remove_file(parted.join("model.safetensors")).unwrap();
         fitted(&settings, &parted, true).unwrap();
         assert_eq!(steps(&parted), [20, 30]);
-        assert!(before == state(), "weights or moments differ");
+        assert!(before == weights(), "weights differ");
         let model = |run: &Path| fs::read(run.join("model.safetensors")).unwrap();
         assert!(model(&whole) == model(&parted), "model.safetensors differs");
         let numbers = |run: &Path| {
