@@ -208,9 +208,9 @@ fn rays_within(cost: &StepCost, limit: u64, rays: usize) -> Result<usize, Failur
         Some(together) if together >= rays => Ok(0),
         Some(together) => Ok(together),
         None => {
-            let fixed = mib(memory.parameters_bytes + memory.images_bytes);
+            let fixed = mib(memory.program_bytes + memory.parameters_bytes + memory.images_bytes);
             Err(Failure::input(format!("`--memory-limit`: {:.0} MiB are too little", mib(limit))).with_hint(format!(
-                "images, weights and moments alone take {fixed:.0} MiB; choose a coarser `--image-scale` or a smaller preset"
+                "the program, images, weights and moments alone take {fixed:.0} MiB; choose a coarser `--image-scale` or a smaller preset"
             )))
         }
     }
