@@ -179,6 +179,9 @@ pub struct FitSettings {
     /// Rays that go through the networks together, for the sake of memory; 0 for all. The gradient is that of all.
     #[serde(default)]
     pub micro_rays: usize,
+    /// Whether a device without this project's kernels forgets cheap activations and computes them again on the way back.
+    #[serde(default)]
+    pub recompute: bool,
     /// Every so many frames is fitted and the one in the middle held out (even, the paper's tables: 2); 0 keeps the
     /// dataset's own lists.
     #[serde(default)]

@@ -45,6 +45,7 @@ impl FitSettings {
             annotated_share: 0.0,
             ray_order: RayOrder::Epochs,
             micro_rays: 0,
+            recompute: false,
             interval: 0,
             coarse_samples: 128,
             fine_samples: 128,

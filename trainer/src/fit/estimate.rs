@@ -6,7 +6,7 @@ use burn::tensor::Device;
 use serde::Serialize;
 
 use super::step::{gradients, host};
-use super::{adam, norms};
+use super::{adam, norms, with_gradients};
 use crate::config::FitSettings;
 use crate::cost::StepCost;
 use crate::data::TrainData;
@@ -34,7 +34,7 @@ pub struct Estimate {
 
 /// Times a step of a few rays and the optimiser's step for all parameters.
 pub fn estimate(data: &TrainData, settings: &FitSettings, cost: &StepCost, device: &Device) -> Result<Estimate> {
-    let device = device.clone().autodiff();
+    let device = with_gradients(device, settings);
     let space = NetSpace::new(&data.dataset.scene, data.extras(), settings.model.head_radius);
     let groups = region_groups(&data.table);
     let mut model = ConfiesModel::new(&settings.model, &groups, data.frames.len(), settings.seed, &device);

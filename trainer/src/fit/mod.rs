@@ -81,7 +81,7 @@ pub fn fit(
 ) -> Result<FitSummary> {
     settings.validate()?;
     let mut settings = settings.clone();
-    let device = device.clone().autodiff();
+    let device = with_gradients(device, &settings);
     let space = NetSpace::new(&data.dataset.scene, data.extras(), settings.model.head_radius);
     let mut state = start(data, &settings, run, resume, &device)?;
     let parameters = state.model.num_params();
@@ -167,6 +167,12 @@ fn start(data: &TrainData, settings: &FitSettings, run: &Path, resume: bool, dev
     }
     let loaded = checkpoint::load(run, model, optimizer, &data.sha256)?;
     Ok(State { model: loaded.model, optimizer: loaded.optimizer, step: loaded.step, seconds_before: loaded.seconds })
+}
+
+/// The device, with gradients recorded as the settings ask for.
+fn with_gradients(device: &Device, settings: &FitSettings) -> Device {
+    let device = device.clone().autodiff();
+    if settings.recompute { device.gradient_checkpointing() } else { device }
 }
 
 /// Adam as the family sets it (fact sheet §2.6): β 0.9 and 0.999, ε 1e-8, bias correction, no decay, no clipping.

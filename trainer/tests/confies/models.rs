@@ -88,6 +88,26 @@ fn names_are_read_and_kept_in_settings() {
         assert_eq!(toml::from_str::<FitSettings>(&text).unwrap(), settings);
     }
     assert!("gan".parse::<ModelKind>().is_err());
+    // Settings of before there were other models are read as what they were.
+    let before = FitSettings { recompute: false, ..FitSettings::cpu() };
+    let new = [
+        "kind = \"confies",
+        "branch_skip",
+        "rest_mask",
+        "annotated_share",
+        "ray_order",
+        "micro_rays",
+        "recompute",
+        "interval",
+        "mask_rendering",
+    ];
+    let text = toml::to_string(&before).unwrap();
+    let old: Vec<&str> = text.lines().filter(|l| !new.iter().any(|n| l.starts_with(n))).collect();
+    assert_eq!(old.len() + new.len() + 1, text.lines().count(), "{text}");
+    let mut read: FitSettings = toml::from_str(&old.join("\n")).unwrap();
+    // The branch that there is not does not matter.
+    (read.model.mask.branch_skip, read.model.uncertainty.branch_skip) = (false, false);
+    assert_eq!(read, before);
 }
 
 /// Logits of all masks for these attributes, on slices that are far from flat.

@@ -152,3 +152,17 @@ fn what_a_ray_shares_may_be_multiplied_once() {
         }
     }
 }
+
+#[test]
+fn recomputing_activations_changes_no_gradient() {
+    let data = scene(&[0]);
+    let s = settings();
+    let of = |device: Device| {
+        let model = model(&s, &device);
+        let (gradients, _) = gradients(&model, &data, &space(&data, &s), &s, STEP).unwrap();
+        by_path(&model, &gradients)
+    };
+    let kept = of(Device::flex().autodiff());
+    assert_eq!(kept, of(Device::flex().autodiff().gradient_checkpointing()));
+    assert!(peak(&kept, "fine.template") > 0.0);
+}
