@@ -316,7 +316,7 @@ impl Networks<'_> {
     fn region_mask(&self, masks: Option<&Tensor<2>>, region: usize, rays: usize) -> Tensor<2> {
         let of = |(i, _): (usize, usize)| masks.map(|m| m.clone().narrow(1, i, 1));
         let own = self.model.mask_regions().into_iter().enumerate().filter(|(_, n)| *n == region);
-        let largest = own.filter_map(of).reduce(|a, b| a.max_pair(b));
+        let largest = own.filter_map(of).reduce(Tensor::max_pair);
         largest.unwrap_or_else(|| Tensor::zeros([rays, 1], self.device))
     }
 }

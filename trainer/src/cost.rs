@@ -287,7 +287,8 @@ impl Memory {
     pub fn rays_within(&self, limit: u64) -> Option<usize> {
         let fixed = self.program_bytes + self.parameters_bytes + self.images_bytes;
         let per_ray = self.activations_bytes / self.rays_together.max(1) as u64;
-        let rays = limit.checked_sub(fixed)? / per_ray.max(1);
+        // What is stated is an estimate, and parts that follow each other leave holes in the allocator's pages.
+        let rays = (limit.checked_sub(fixed)? / 20 * 17) / per_ray.max(1);
         (rays > 0).then_some(rays as usize)
     }
 }

@@ -58,7 +58,7 @@ pub enum Uncertain {
     /// Of all.
     All,
     /// Of these, by index: the others have no annotation that it could weigh.
-    Rays(Tensor<1, Int>),
+    Rays(Box<Tensor<1, Int>>),
 }
 
 /// What the field says of every sample of every ray.
@@ -248,7 +248,7 @@ impl ConfiesModel {
                     evaluate_uncertainty(nets, &position, &ambient_code, &rest_code, [r, s], uncertain)
                 });
                 match &mask_logits {
-                    Some(logits) => Some(encode(self.masked(ambient, rest, logits), c.hyper_dims)),
+                    Some(logits) => Some(encode(self.masked(&ambient, rest, logits), c.hyper_dims)),
                     None => Some(Tensor::cat(vec![ambient_code, rest_code], 1)),
                 }
             }
@@ -276,7 +276,7 @@ impl ConfiesModel {
     }
 
     /// Eq. 10. The masks multiply the raw coordinates: where a mask is 0 the code is (sin 0, cos 0) = (0, 1).
-    fn masked(&self, ambient: Tensor<2>, rest: Tensor<2>, logits: &Tensor<2>) -> Tensor<2> {
+    fn masked(&self, ambient: &Tensor<2>, rest: Tensor<2>, logits: &Tensor<2>) -> Tensor<2> {
         let d = self.config.hyper_dims;
         let masks = sigmoid(logits.clone());
         let mut masked: Vec<Tensor<2>> = self

@@ -1,10 +1,10 @@
 //! `trainer devices`.
 
-use risorius_console::{Console, Failure};
+use risorius_console::Console;
 
 use crate::devices;
 
-pub(super) fn run(console: &Console) -> Result<(), Failure> {
+pub(super) fn run(console: &Console) {
     let all = devices::list();
     let line = |k: &devices::DeviceKind| {
         let state = if !k.compiled_in {
@@ -18,5 +18,4 @@ pub(super) fn run(console: &Console) -> Result<(), Failure> {
     };
     let human: Vec<String> = all.iter().map(line).collect();
     console.finish(&all, &human.join("\n"));
-    Ok(())
 }

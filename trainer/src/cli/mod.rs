@@ -61,7 +61,10 @@ pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
         Command::Transfer(args) => transfer::run(args, console),
         Command::Export(args) => export::run(args, console),
         Command::View(args) => view::run(args, console),
-        Command::Devices => devices::run(console),
+        Command::Devices => {
+            devices::run(console);
+            Ok(())
+        }
     }
 }
 

@@ -29,7 +29,9 @@ impl GradientNorms {
         for (name, sum) in squares.names.into_iter().zip(host(Tensor::cat(squares.sums, 0))) {
             *parts.entry(name).or_insert(0.0) += f64::from(sum);
         }
-        parts.values_mut().for_each(|v| *v = f64::sqrt(*v));
+        for norm in parts.values_mut() {
+            *norm = f64::sqrt(*norm);
+        }
         Self { parts }
     }
 

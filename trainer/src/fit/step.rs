@@ -254,7 +254,7 @@ impl Drawn {
         }
         let count = index.len();
         let index = Tensor::<1, Int>::from_data(TensorData::new(index, [count]), device);
-        (Uncertain::Rays(index.clone()), Some(index))
+        (Uncertain::Rays(Box::new(index.clone())), Some(index))
     }
 }
 

@@ -18,9 +18,9 @@ fn short(kind: ModelKind) -> FitSettings {
     FitSettings { checkpoint_every: 10, micro_rays: 10, ..settings }
 }
 
-fn fitted(settings: &FitSettings, run: &Path, resume: bool) -> Result<(), TrainerError> {
+fn fitted(settings: &FitSettings, run: &Path, resume: bool) -> Result<(), Box<TrainerError>> {
     let data = scene(&[2]);
-    fit(&data, settings, Limits::default(), run, resume, &Device::flex(), &Silent).map(drop)
+    fit(&data, settings, Limits::default(), run, resume, &Device::flex(), &Silent).map(drop).map_err(Box::new)
 }
 
 fn lines(run: &Path) -> Vec<MetricsLine> {
@@ -88,7 +88,7 @@ fn a_fit_that_diverges_says_where_and_leaves_its_checkpoint() {
     let kept = fs::read(dir.path().join("checkpoints/step-00000010/weights.bpk")).unwrap();
     settings.learning_rate = Schedule::Constant { value: 1e30 };
     let error = fitted(&settings, dir.path(), true).unwrap_err();
-    let TrainerError::NotFinite { step, what } = &error else { panic!("{error}") };
+    let TrainerError::NotFinite { step, what } = &*error else { panic!("{error}") };
     assert!((12..=20).contains(step), "{error}");
     assert!(what.contains("loss") || what.contains("gradient"), "{error}");
     assert_eq!(checkpoint::list(dir.path()).len(), 1);

@@ -103,7 +103,7 @@ fn a_tiny_network_gives_what_numpy_gives() {
     for d in directions.as_chunks_mut::<3>().0 {
         d[2] += 2.0;
         let length = d.iter().map(|v| v * v).sum::<f64>().sqrt();
-        d.iter_mut().for_each(|v| *v = f64::from((*v / length) as f32));
+        *d = d.map(|v| f64::from((v / length) as f32));
     }
     let codes =
         RayCodes { omega: omega.clone(), alpha: alpha.clone(), directions: rows::<3>(directions.clone(), &device) };

@@ -116,7 +116,7 @@ fn uncertainty_of_some_rays_is_that_of_all() {
         out.uncertainty.map(numbers)
     };
     let all = of(Uncertain::All).unwrap();
-    let some = of(Uncertain::Rays(Tensor::from_data([1i32, 4], &device))).unwrap();
+    let some = of(Uncertain::Rays(Box::new(Tensor::from_data([1i32, 4], &device)))).unwrap();
     assert_eq!(some, [&all[24..48], &all[96..]].concat());
     assert!(of(Uncertain::None).is_none());
 }
