@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use burn::module::Module as _;
+use burn::tensor::activation::sigmoid;
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use glam::{DVec2, Vec3};
 use image::RgbImage;
@@ -14,10 +15,11 @@ use risorius_formats::{ActionUnit, AttributeSpec, Camera, Reporter};
 
 use crate::brick::plate::Plate;
 use crate::brick::store::{self, Content};
+use crate::config::MaskRendering;
 use crate::error::{Result, TrainerError};
 use crate::fit::{host, points, rows};
 use crate::hull::Outline;
-use crate::model::{ConfiesModel, Level, RayCodes, Windows};
+use crate::model::{ConfiesModel, Level, RayCodes, Uncertain, Windows};
 use crate::sampling;
 use crate::saved::{SavedConfies, SavedField, SavedModel};
 use crate::studio::{Look, Studio};
@@ -49,6 +51,17 @@ pub struct Avatar {
 enum Fitted {
     Confies { saved: Box<SavedConfies>, model: Box<ConfiesModel>, device: Device },
     Brick { model: Box<Brick>, plate: Option<Plate> },
+}
+
+/// A place between two training frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Between {
+    /// Index of the one.
+    pub left: usize,
+    /// Index of the other.
+    pub right: usize,
+    /// 0 at the left, 1 at the right.
+    pub t: f32,
 }
 
 /// A ray of a picture: where its pixel stands and where it goes.
@@ -152,9 +165,28 @@ impl Avatar {
     ) -> Result<Option<Render>> {
         let Fitted::Confies { saved, model, device } = &self.field else { return Ok(None) };
         let mut picture = Render::empty(camera, self.saved.table.regions.len());
-        let networks = Networks { saved, model, device, neutral_frame: self.saved.neutral_frame };
-        networks.render(camera, attributes, &self.wanted(camera), &mut picture, reporter)?;
+        let networks = Networks { saved, model, device };
+        let codes = networks.codes(self.saved.neutral_frame, attributes);
+        networks.render(camera, &codes, &self.wanted(camera), &mut picture, reporter)?;
         Ok(Some(picture))
+    }
+
+    /// Renders `camera` with codes between those of two training frames and the attributes that the codes themselves
+    /// give, as the paper's interpolation test does; `None` for the brick field, which has no codes to interpolate.
+    pub fn render_between(&self, camera: &Camera, between: Between, reporter: &dyn Reporter) -> Result<Option<Render>> {
+        let Fitted::Confies { saved, model, device } = &self.field else { return Ok(None) };
+        let mut picture = Render::empty(camera, self.saved.table.regions.len());
+        let networks = Networks { saved, model, device };
+        networks.render(camera, &networks.codes_between(between), &self.wanted(camera), &mut picture, reporter)?;
+        Ok(Some(picture))
+    }
+
+    /// Whether attributes steer it: of the models that CoNFies is compared with, some know codes only.
+    pub fn is_steered(&self) -> bool {
+        match &self.field {
+            Fitted::Confies { saved, .. } => saved.model.kind.has_attributes(),
+            Fitted::Brick { .. } => true,
+        }
     }
 }
 
@@ -175,14 +207,34 @@ struct Networks<'a> {
     saved: &'a SavedConfies,
     model: &'a ConfiesModel,
     device: &'a Device,
-    neutral_frame: usize,
+}
+
+/// What is the same for all rays of a picture: ω `[1, latent]` and α `[1, K]`.
+struct Codes {
+    omega: Tensor<2>,
+    alpha: Tensor<2>,
 }
 
 impl Networks<'_> {
+    fn omega(&self, frame: usize) -> Tensor<2> {
+        self.model.latent_codes(Tensor::<1, Int>::from_data(TensorData::new(vec![frame as i32], [1]), self.device))
+    }
+
+    fn codes(&self, frame: usize, attributes: &[f32]) -> Codes {
+        Codes { omega: self.omega(frame), alpha: rows(attributes.to_vec(), attributes.len(), self.device) }
+    }
+
+    fn codes_between(&self, at: Between) -> Codes {
+        let omega = self.omega(at.left) * (1.0 - at.t) + self.omega(at.right) * at.t;
+        let none = || Tensor::zeros([1, self.model.attribute_count()], self.device);
+        let alpha = self.model.attributes_of(omega.clone()).unwrap_or_else(none);
+        Codes { omega, alpha }
+    }
+
     fn render(
         &self,
         camera: &Camera,
-        attributes: &[f32],
+        codes: &Codes,
         wanted: &[Wanted],
         picture: &mut Render,
         reporter: &dyn Reporter,
@@ -193,7 +245,7 @@ impl Networks<'_> {
                 return Err(TrainerError::Interrupted { done: "part of a picture".to_owned() });
             }
             let directions: Vec<Vec3> = chunk.iter().map(|(_, d)| *d).collect();
-            let values = self.render_rays(origin, &directions, attributes);
+            let values = self.render_rays(origin, &directions, codes);
             let stride = 4 + picture.masks.len();
             for ((pixel, _), v) in chunk.iter().zip(values.chunks_exact(stride)) {
                 for (byte, value) in picture.rgb.as_mut()[pixel * 3..pixel * 3 + 3].iter_mut().zip(v) {
@@ -201,31 +253,33 @@ impl Networks<'_> {
                 }
                 picture.depth[*pixel] = (f64::from(v[3]) / self.saved.space.scale) as f32;
                 for (n, mask) in picture.masks.iter_mut().enumerate() {
-                    mask[*pixel] = 1.0 / (1.0 + (-v[4 + n]).exp());
+                    mask[*pixel] = v[4 + n];
                 }
             }
         }
         Ok(())
     }
 
-    /// RGB, depth and mask logits of each ray: `4 + N` numbers.
-    fn render_rays(&self, origin: Vec3, directions: &[Vec3], attributes: &[f32]) -> Vec<f32> {
+    /// RGB, depth and region masks (0–1) of each ray: `4 + N` numbers.
+    fn render_rays(&self, origin: Vec3, directions: &[Vec3], codes: &Codes) -> Vec<f32> {
         let SavedConfies { coarse_samples, fine_samples, spacing, space, model: config, .. } = self.saved;
-        let (neutral_frame, device) = (self.neutral_frame, self.device);
+        let device = self.device;
         let r = directions.len();
-        let frame = Tensor::<1, Int>::from_data(TensorData::new(vec![neutral_frame as i32], [1]), device);
-        let omega = self.model.latent_codes(frame);
-        let latent = omega.dims()[1];
+        let all = |t: &Tensor<2>| {
+            let width = t.dims()[1];
+            t.clone().expand([r, width])
+        };
         let codes = RayCodes {
-            omega: omega.expand([r, latent]),
-            alpha: rows(attributes.to_vec(), attributes.len(), device).expand([r, attributes.len()]),
+            omega: all(&codes.omega),
+            alpha: all(&codes.alpha),
             directions: rows(directions.iter().flat_map(Vec3::to_array).collect(), 3, device),
         };
         let origins = vec![origin; r];
         let windows = Windows::open(config);
         let evaluate = |level, depths: &[f32]| {
             let samples = depths.len() / r;
-            let out = self.model.evaluate(level, points(&origins, directions, depths, device), &codes, windows, false);
+            let points = points(&origins, directions, depths, device);
+            let out = self.model.evaluate(level, points, &codes, windows, &Uncertain::None);
             let weights = volume::weights(out.density.clone(), rows(volume::deltas(depths, samples), samples, device));
             (out, weights)
         };
@@ -249,7 +303,20 @@ impl Networks<'_> {
         let z = rows(fine, samples, device);
         let depth = (weights.clone() * z).sum_dim(1);
         let color = volume::composite(weights.clone(), out.color);
-        let masks = volume::composite(weights, out.mask_logits);
-        host(Tensor::cat(vec![color, depth, masks], 1))
+        let masks = out.mask_logits.map(|logits| match self.saved.mask_rendering {
+            MaskRendering::Logits => sigmoid(volume::composite(weights, logits)),
+            MaskRendering::Probabilities => volume::composite(weights, sigmoid(logits)),
+        });
+        let mut parts = vec![color, depth];
+        parts.extend((0..self.model.region_count()).map(|n| self.region_mask(masks.as_ref(), n, r)));
+        host(Tensor::cat(parts, 1))
+    }
+
+    /// The mask of a region: its own, or the largest of its attributes' masks, or zeros where there are none.
+    fn region_mask(&self, masks: Option<&Tensor<2>>, region: usize, rays: usize) -> Tensor<2> {
+        let of = |(i, _): (usize, usize)| masks.map(|m| m.clone().narrow(1, i, 1));
+        let own = self.model.mask_regions().into_iter().enumerate().filter(|(_, n)| *n == region);
+        let largest = own.filter_map(of).reduce(Tensor::max_pair);
+        largest.unwrap_or_else(|| Tensor::zeros([rays, 1], self.device))
     }
 }

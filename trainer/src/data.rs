@@ -53,8 +53,14 @@ pub struct TrainData {
 impl TrainData {
     /// Loads the training frames at `scale` (0 for the dataset's default).
     pub fn load(dir: impl AsRef<Path>, scale: u32, reporter: &dyn Reporter) -> Result<Self> {
+        Self::load_every(dir, scale, 0, reporter)
+    }
+
+    /// The same with the frames split anew: see [`split`].
+    pub fn load_every(dir: impl AsRef<Path>, scale: u32, interval: usize, reporter: &dyn Reporter) -> Result<Self> {
         let dir = dir.as_ref();
-        let dataset = Dataset::read(dir)?;
+        let mut dataset = Dataset::read(dir)?;
+        (dataset.train_ids, dataset.val_ids) = split(&dataset, interval);
         let table = AttributeTable::read(dir.join("attributes.toml"))?;
         let fail = |message: String, hint: &str| TrainerError::Dataset {
             path: dir.to_owned(),
@@ -97,6 +103,15 @@ impl TrainData {
         })
     }
 
+    /// Bytes of memory that the frames take.
+    pub fn bytes(&self) -> u64 {
+        let of = |f: &TrainFrame| {
+            let lists = f.valid.as_ref().map_or(0, Vec::len) + f.region_pixels.len();
+            f.pixels.len() + f.labels.as_ref().map_or(0, Vec::len) + 4 * lists
+        };
+        self.frames.iter().map(|f| of(f) as u64).sum()
+    }
+
     /// Our additions to the dataset, where it is ours.
     pub fn extras(&self) -> Option<&Extras> {
         self.dataset.extras.as_ref()
@@ -123,6 +138,20 @@ impl TrainData {
             .min_by(|&a, &b| distance(&self.frames[a]).total_cmp(&distance(&self.frames[b])))
             .unwrap_or(0)
     }
+}
+
+/// Frames for fitting and held-out ones. With an `interval` (even), as the released loader does it, whatever the
+/// dataset's lists say: every so many frames is fitted, the one in the middle between two is held out, the rest is not
+/// used. With 0, the dataset's own lists.
+pub fn split(dataset: &Dataset, interval: usize) -> (Vec<String>, Vec<String>) {
+    if interval < 2 {
+        return (dataset.train_ids.clone(), dataset.val_ids.clone());
+    }
+    let mut ids = dataset.ids.clone();
+    ids.sort_by_cached_key(|id| (dataset.source_frame(id), id.clone()));
+    let train: Vec<usize> = (0..ids.len()).step_by(interval).collect();
+    let held = train.windows(2).map(|w| ids[usize::midpoint(w[0], w[1])].clone()).collect();
+    (train.into_iter().map(|i| ids[i].clone()).collect(), held)
 }
 
 fn load_frame(dir: &Path, dataset: &Dataset, table: &AttributeTable, id: &str, scale: u32) -> Result<TrainFrame> {

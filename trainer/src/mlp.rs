@@ -86,9 +86,26 @@ impl Mlp {
         kernel::mlp_forward(x, Tensor::cat(flat.collect(), 0), &self.spec)
     }
 
+    /// The net's value of every row `[x, ray]`, where `ray` is the same for all rows of a ray.
+    ///
+    /// Off the CPU the ray's share of the layers that take it is one product per ray (fact sheet §5.4, items 4 and 5);
+    /// the fused CPU kernel takes it row by row.
+    ///
+    /// # Shapes
+    /// `x`: `[r · s, a]`, ray after ray; `ray`: `[r, b]` with a + b = d_in; result: `[r · s, d_out or width]`
+    pub fn forward_with_ray(&self, x: Tensor<2>, ray: &Tensor<2>) -> Tensor<2> {
+        let flat = self.weights.iter().zip(&self.biases).flat_map(|(w, b)| [w.val().flatten::<1>(0, 1), b.val()]);
+        kernel::mlp_forward_with_ray(x, ray, Tensor::cat(flat.collect(), 0), &self.spec)
+    }
+
     /// Columns of the result.
     pub fn d_out(&self) -> usize {
         self.spec.output_size()
+    }
+
+    /// Where it lives.
+    pub fn device(&self) -> Device {
+        self.biases[0].val().device()
     }
 }
 
@@ -137,7 +154,7 @@ impl GroupedMlp {
     }
 }
 
-/// `G` nets of a trunk and, in the paper's form, one narrower layer that sees the input again; one output each.
+/// `G` nets of a trunk and, in the paper's form, one narrower layer that sees the input again.
 #[derive(Module, Debug)]
 pub struct BranchedNets {
     trunk: GroupedMlp,
@@ -145,37 +162,53 @@ pub struct BranchedNets {
     #[module(skip)]
     groups: usize,
     #[module(skip)]
-    trunk_width: usize,
+    size: BranchedSize,
+}
+
+/// The shapes of trunk and branch of a net with `d_in` inputs and `outputs` outputs, with the branch's inputs.
+pub(crate) fn branched_specs(d_in: usize, size: BranchedSize, outputs: usize) -> (MlpSpec, Option<(usize, MlpSpec)>) {
+    let BranchedSize { trunk, branch, branch_skip } = size;
+    if branch == 0 {
+        return (spec(trunk, Some(outputs)), None);
+    }
+    let seen = trunk.width + if branch_skip { d_in } else { 0 };
+    (spec(trunk, None), Some((seen, MlpSpec { depth: 1, width: branch, skip: None, output: Some(outputs) })))
 }
 
 impl BranchedNets {
     /// `groups` nets on `[shared, own_g]`, of which `own` columns are each net's own.
-    pub fn new(groups: usize, d_in: usize, size: BranchedSize, rng: &mut impl Rng, device: &Device) -> Self {
-        let BranchedSize { trunk, branch } = size;
-        let plain = branch == 0;
-        let trunk_spec = MlpSpec { skip: None, ..spec(trunk, plain.then_some(1)) };
-        let branch_spec = MlpSpec { depth: 1, width: branch, skip: None, output: Some(1) };
+    pub fn new(
+        groups: usize,
+        d_in: usize,
+        size: BranchedSize,
+        outputs: usize,
+        rng: &mut impl Rng,
+        device: &Device,
+    ) -> Self {
+        let (trunk, branch) = branched_specs(d_in, size, outputs);
         Self {
-            trunk: GroupedMlp::new(groups, d_in, trunk_spec, Init::Glorot, rng, device),
-            branch: (!plain)
-                .then(|| GroupedMlp::new(groups, trunk.width + d_in, branch_spec, Init::Glorot, rng, device)),
+            trunk: GroupedMlp::new(groups, d_in, trunk, Init::Glorot, rng, device),
+            branch: branch.map(|(seen, branch)| GroupedMlp::new(groups, seen, branch, Init::Glorot, rng, device)),
             groups,
-            trunk_width: trunk.width,
+            size,
         }
     }
 
-    /// One number per net and row.
+    /// The outputs of every net and row, net after net.
     ///
     /// # Shapes
-    /// `shared`: `[n, s]`, `own`: `[n, G · o]`, result: `[n, G]`
+    /// `shared`: `[n, s]`, `own`: `[n, G · o]`, result: `[n, G · outputs]`
     pub fn forward(&self, shared: Tensor<2>, own: Tensor<2>) -> Tensor<2> {
         let hidden = self.trunk.forward(shared.clone(), own.clone());
         let Some(branch) = &self.branch else { return hidden };
         let [n, own_width] = own.dims();
-        let (g, o) = (self.groups, own_width / self.groups);
+        let (g, o, width) = (self.groups, own_width / self.groups, self.size.trunk.width);
+        if !self.size.branch_skip {
+            return branch.forward(Tensor::zeros([n, 0], (&hidden.device(), hidden.dtype())), hidden);
+        }
         // Per net [h, own]; the shared part comes in again on its own side. The order of inputs only permutes rows
         // of the branch's first kernel.
-        let own = Tensor::cat(vec![hidden.reshape([n, g, self.trunk_width]), own.reshape([n, g, o])], 2);
-        branch.forward(shared, own.reshape([n, g * (self.trunk_width + o)]))
+        let own = Tensor::cat(vec![hidden.reshape([n, g, width]), own.reshape([n, g, o])], 2);
+        branch.forward(shared, own.reshape([n, g * (width + o)]))
     }
 }

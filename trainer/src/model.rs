@@ -9,7 +9,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use risorius_formats::AttributeTable;
 
-use crate::config::ModelConfig;
+use crate::config::{MaskKind, ModelConfig, RestMask, SliceKind};
 use crate::encoding;
 use crate::fields::{AmbientSlices, AttributeNet, DeformationField, MaskNets, Template, UncertaintyNets};
 use crate::mlp::parameter;
@@ -50,6 +50,17 @@ pub struct RayCodes {
     pub directions: Tensor<2>,
 }
 
+/// Of which rays the uncertainty is wanted.
+#[derive(Clone, Debug)]
+pub enum Uncertain {
+    /// Of none.
+    None,
+    /// Of all.
+    All,
+    /// Of these, by index: the others have no annotation that it could weigh.
+    Rays(Box<Tensor<1, Int>>),
+}
+
 /// What the field says of every sample of every ray.
 #[derive(Clone, Debug)]
 pub struct FieldOutputs {
@@ -57,9 +68,9 @@ pub struct FieldOutputs {
     pub density: Tensor<2>,
     /// RGB: `[r, s, 3]`.
     pub color: Tensor<3>,
-    /// Mask logits: `[r, s, N]`.
-    pub mask_logits: Tensor<3>,
-    /// β, where asked for: `[r, s, K]`.
+    /// Mask logits, where the model has masks: `[r, s, masks]`.
+    pub mask_logits: Option<Tensor<3>>,
+    /// β of the rays asked for: `[rays asked for, s, K]`.
     pub uncertainty: Option<Tensor<3>>,
 }
 
@@ -67,16 +78,16 @@ pub struct FieldOutputs {
 struct LevelNets {
     template: Template,
     masks: MaskNets,
-    uncertainty: UncertaintyNets,
+    uncertainty: Option<UncertaintyNets>,
 }
 
-/// The whole model: latent codes, A, T, H and, per level, F, M and B.
+/// The whole model: latent codes, A, T, H and, per level, F, M and B, as far as its kind has them.
 #[derive(Module, Debug)]
 pub struct ConfiesModel {
     /// ω of each training frame: `[frames, latent]`.
-    latent: Param<Tensor<2>>,
-    attribute: AttributeNet,
-    deformation: DeformationField,
+    latent: Option<Param<Tensor<2>>>,
+    attribute: Option<AttributeNet>,
+    deformation: Option<DeformationField>,
     ambient: AmbientSlices,
     coarse: LevelNets,
     fine: LevelNets,
@@ -86,6 +97,8 @@ pub struct ConfiesModel {
     groups: Vec<Range<usize>>,
     #[module(skip)]
     attributes: usize,
+    #[module(skip)]
+    frames: usize,
 }
 
 /// The attributes of each region as ranges; the table keeps them region after region.
@@ -99,27 +112,43 @@ pub fn region_groups(table: &AttributeTable) -> Vec<Range<usize>> {
     table.groups().into_iter().map(group).collect()
 }
 
+/// Columns of the encoded ambient coordinates that the template sees.
+pub(crate) fn hyper_width(config: &ModelConfig, attributes: usize) -> usize {
+    let (components, dims) = match config.kind.slices() {
+        SliceKind::PerAttribute => (attributes + 1, config.hyper_dims),
+        SliceKind::Rest => (1, config.hyper_dims),
+        SliceKind::Code => (1, config.latent_dims),
+        SliceKind::None => (0, 0),
+    };
+    components * encoding::width(dims, config.hyper_bands, false)
+}
+
 impl ConfiesModel {
     /// A fresh model for `frames` training frames and these regions; the same seed gives the same weights.
     pub fn new(config: &ModelConfig, groups: &[Range<usize>], frames: usize, seed: u64, device: &Device) -> Self {
         let rng = &mut ChaCha8Rng::seed_from_u64(seed);
-        let attributes = groups.last().map_or(0, |g| g.end);
-        let latent = (0..frames * config.latent_dims).map(|_| rng.random::<f32>() * 0.05).collect();
-        let level = |size, rng: &mut ChaCha8Rng| LevelNets {
-            template: Template::new(config, size, attributes + 1, rng, device),
-            masks: MaskNets::new(config, groups, rng, device),
-            uncertainty: UncertaintyNets::new(config, attributes, rng, device),
+        let (kind, attributes) = (config.kind, groups.last().map_or(0, |g| g.end));
+        let latent = kind.has_latent().then(|| {
+            let values = (0..frames * config.latent_dims).map(|_| rng.random::<f32>() * 0.05).collect();
+            parameter(values, [frames, config.latent_dims], device)
+        });
+        let hyper = hyper_width(config, attributes);
+        let level = |size, masks, rng: &mut ChaCha8Rng| LevelNets {
+            template: Template::new(config, size, hyper, rng, device),
+            masks: MaskNets::new(config, masks, groups, rng, device),
+            uncertainty: kind.has_uncertainty().then(|| UncertaintyNets::new(config, attributes, rng, device)),
         };
         Self {
-            latent: parameter(latent, [frames, config.latent_dims], device),
-            attribute: AttributeNet::new(config, attributes, rng, device),
-            deformation: DeformationField::new(config, rng, device),
+            latent,
+            attribute: kind.has_attributes().then(|| AttributeNet::new(config, attributes, rng, device)),
+            deformation: kind.has_warp().then(|| DeformationField::new(config, rng, device)),
             ambient: AmbientSlices::new(config, attributes, rng, device),
-            coarse: level(config.template_coarse, rng),
-            fine: level(config.template, rng),
+            coarse: level(config.template_coarse, config.mask_coarse.unwrap_or(config.mask), rng),
+            fine: level(config.template, config.mask, rng),
             config: *config,
             groups: groups.to_vec(),
             attributes,
+            frames,
         }
     }
 
@@ -138,24 +167,45 @@ impl ConfiesModel {
         self.groups.len()
     }
 
-    /// Training frames it has codes for.
+    /// The region that each mask is to cover: one mask per region, or with CoNeRF's joint net one per attribute.
+    pub fn mask_regions(&self) -> Vec<usize> {
+        match self.config.kind.masks() {
+            MaskKind::PerRegion => (0..self.groups.len()).collect(),
+            MaskKind::Joint => self.groups.iter().enumerate().flat_map(|(n, g)| g.clone().map(move |_| n)).collect(),
+            MaskKind::None => Vec::new(),
+        }
+    }
+
+    /// The attributes under each mask.
+    fn mask_groups(&self) -> Vec<Range<usize>> {
+        match self.config.kind.masks() {
+            MaskKind::PerRegion => self.groups.clone(),
+            MaskKind::Joint => (0..self.attributes).map(|k| k..k + 1).collect(),
+            MaskKind::None => Vec::new(),
+        }
+    }
+
+    /// Training frames it was built for.
     pub fn frame_count(&self) -> usize {
-        self.latent.val().dims()[0]
+        self.frames
     }
 
     /// Where its parameters live.
     pub fn device(&self) -> Device {
-        self.latent.val().device()
+        self.fine.template.device()
     }
 
-    /// ω of these training frames: `[r, latent]`.
+    /// ω of these training frames, zeros where the model has no codes: `[r, latent]`.
     pub fn latent_codes(&self, frames: Tensor<1, Int>) -> Tensor<2> {
-        self.latent.val().select(0, frames)
+        match &self.latent {
+            Some(latent) => latent.val().select(0, frames),
+            None => Tensor::zeros([frames.dims()[0], self.config.latent_dims], &self.device()),
+        }
     }
 
-    /// α = A(ω): `[r, K]`.
-    pub fn attributes_of(&self, omega: Tensor<2>) -> Tensor<2> {
-        self.attribute.forward(omega)
+    /// α = A(ω), where attributes steer the model: `[r, K]`.
+    pub fn attributes_of(&self, omega: Tensor<2>) -> Option<Tensor<2>> {
+        self.attribute.as_ref().map(|net| net.forward(omega))
     }
 
     /// The field at `points` (`[r · s, 3]`, ray after ray).
@@ -165,57 +215,108 @@ impl ConfiesModel {
         points: Tensor<2>,
         rays: &RayCodes,
         windows: Windows,
-        with_uncertainty: bool,
+        uncertain: &Uncertain,
     ) -> FieldOutputs {
         let c = &self.config;
         let [r, _] = rays.omega.dims();
         let [n, _] = points.dims();
         let s = n / r;
-        let per_sample = |t: &Tensor<2>| {
-            let [_, d] = t.dims();
-            t.clone().unsqueeze_dim::<3>(1).expand([r, s, d]).reshape([n, d])
-        };
-        let omega = per_sample(&rays.omega);
-        let warped =
-            self.deformation.forward(points.clone(), omega.clone(), &encoding::window(c.warp_bands, windows.warp));
-        let (ambient, rest) = self.ambient.forward(points, per_sample(&rays.alpha), omega);
-        let position = encoding::encode(warped, &encoding::open_window(c.template_bands), true);
-
-        let (k, d) = (self.attributes, c.hyper_dims);
-        let window = encoding::window(c.hyper_bands, windows.hyper);
-        let component = encoding::width(d, c.hyper_bands, false);
-        let encode = |w: Tensor<2>, count: usize| {
-            encoding::encode(w.reshape([n * count, d]), &window, false).reshape([n, count * component])
-        };
         let nets = match level {
             Level::Coarse => &self.coarse,
             Level::Fine => &self.fine,
         };
-        let (ambient_code, rest_code) = (encode(ambient.clone(), k), encode(rest.clone(), 1));
-        let mask_logits = nets.masks.forward(&position, &ambient_code, &rest_code);
-        let uncertainty = with_uncertainty
-            .then(|| nets.uncertainty.forward(position.clone(), ambient_code, rest_code).reshape([r, s, k]));
+        let warped = match &self.deformation {
+            Some(field) => field.forward(points.clone(), &rays.omega, &encoding::window(c.warp_bands, windows.warp)),
+            None => points.clone(),
+        };
+        let slices = self.ambient.forward(points, &rays.alpha, &rays.omega);
+        let position = encoding::encode(warped, &encoding::open_window(c.template_bands), true);
+        let window = encoding::window(c.hyper_bands, windows.hyper);
+        // Each component is encoded by itself, dims coordinates at a time.
+        let encode = |w: Tensor<2>, dims: usize| {
+            let count = w.dims()[1] / dims;
+            let width = encoding::width(dims, c.hyper_bands, false);
+            encoding::encode(w.reshape([n * count, dims]), &window, false).reshape([n, count * width])
+        };
+        let (mut mask_logits, mut uncertainty) = (None, None);
+        let hyper = match (slices.attributes, slices.rest) {
+            (Some(ambient), Some(rest)) => {
+                let (ambient_code, rest_code) =
+                    (encode(ambient.clone(), c.hyper_dims), encode(rest.clone(), c.hyper_dims));
+                mask_logits = nets.masks.forward(&position, &ambient_code, &rest_code);
+                uncertainty = nets.uncertainty.as_ref().and_then(|nets| {
+                    evaluate_uncertainty(nets, &position, &ambient_code, &rest_code, [r, s], uncertain)
+                });
+                match &mask_logits {
+                    Some(logits) => Some(encode(self.masked(&ambient, rest, logits), c.hyper_dims)),
+                    None => Some(Tensor::cat(vec![ambient_code, rest_code], 1)),
+                }
+            }
+            (_, Some(rest)) => {
+                let dims = rest.dims()[1];
+                Some(encode(rest, dims))
+            }
+            _ => None,
+        };
+        let view = encoding::encode(rays.directions.clone(), &encoding::open_window(c.view_bands), true);
+        let input = match hyper {
+            Some(hyper) => Tensor::cat(vec![position, hyper], 1),
+            None => position,
+        };
+        let out = nets.template.forward(input, &view);
+        FieldOutputs {
+            density: out.density.reshape([r, s]),
+            color: out.color.reshape([r, s, 3]),
+            mask_logits: mask_logits.map(|logits| {
+                let masks = logits.dims()[1];
+                logits.reshape([r, s, masks])
+            }),
+            uncertainty,
+        }
+    }
 
-        // Eq. 10. The masks multiply the raw coordinates: where a mask is 0 the code is (sin 0, cos 0) = (0, 1).
-        let masks = sigmoid(mask_logits.clone());
+    /// Eq. 10. The masks multiply the raw coordinates: where a mask is 0 the code is (sin 0, cos 0) = (0, 1).
+    fn masked(&self, ambient: &Tensor<2>, rest: Tensor<2>, logits: &Tensor<2>) -> Tensor<2> {
+        let d = self.config.hyper_dims;
+        let masks = sigmoid(logits.clone());
         let mut masked: Vec<Tensor<2>> = self
-            .groups
+            .mask_groups()
             .iter()
             .enumerate()
             .filter(|(_, g)| !g.is_empty())
             .map(|(i, g)| ambient.clone().narrow(1, g.start * d, g.len() * d) * masks.clone().narrow(1, i, 1))
             .collect();
-        let rest_mask = masks.sum_dim(1).clamp(0.0, 1.0).neg() + 1.0;
+        let covered = masks.sum_dim(1);
+        let rest_mask = match self.config.rest_mask {
+            RestMask::Clipped => covered.clamp(0.0, 1.0).neg() + 1.0,
+            RestMask::Plain => covered.neg() + 1.0,
+        };
         masked.push(rest * rest_mask);
-        let hyper = encode(Tensor::cat(masked, 1), k + 1);
-
-        let view = encoding::encode(rays.directions.clone(), &encoding::open_window(c.view_bands), true);
-        let out = nets.template.forward(Tensor::cat(vec![position, hyper], 1), per_sample(&view));
-        FieldOutputs {
-            density: out.density.reshape([r, s]),
-            color: out.color.reshape([r, s, 3]),
-            mask_logits: mask_logits.reshape([r, s, self.groups.len()]),
-            uncertainty,
-        }
+        Tensor::cat(masked, 1)
     }
+}
+
+/// β of the rays that are asked for: `[rays asked for, s, K]`.
+fn evaluate_uncertainty(
+    nets: &UncertaintyNets,
+    position: &Tensor<2>,
+    ambient: &Tensor<2>,
+    rest: &Tensor<2>,
+    [r, s]: [usize; 2],
+    uncertain: &Uncertain,
+) -> Option<Tensor<3>> {
+    let of_rays = |t: &Tensor<2>, rays: &Tensor<1, Int>| {
+        let (width, count) = (t.dims()[1], rays.dims()[0]);
+        t.clone().reshape([r, s * width]).select(0, rays.clone()).reshape([count * s, width])
+    };
+    let (rays, beta) = match uncertain {
+        Uncertain::None => return None,
+        Uncertain::All => (r, nets.forward(position.clone(), ambient.clone(), rest.clone())),
+        Uncertain::Rays(rays) => {
+            let [position, ambient, rest] = [position, ambient, rest].map(|t| of_rays(t, rays));
+            (rays.dims()[0], nets.forward(position, ambient, rest))
+        }
+    };
+    let attributes = beta.dims()[1];
+    Some(beta.reshape([rays, s, attributes]))
 }

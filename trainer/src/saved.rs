@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::bounds;
 use crate::brick::store::SavedBrick;
-use crate::config::{FitSettings, ModelConfig, Spacing};
+use crate::config::{FitSettings, MaskRendering, ModelConfig, Spacing};
 use crate::data::TrainData;
 use crate::error::{Result, TrainerError};
 use crate::model::{ConfiesModel, region_groups};
@@ -69,6 +69,9 @@ pub struct SavedConfies {
     pub fine_samples: usize,
     /// Spacing of the coarse samples.
     pub spacing: Spacing,
+    /// What of the masks was rendered.
+    #[serde(default)]
+    pub mask_rendering: MaskRendering,
     /// The space the networks see.
     pub space: NetSpace,
 }
@@ -100,6 +103,7 @@ impl SavedModel {
             coarse_samples: settings.coarse_samples,
             fine_samples: settings.fine_samples,
             spacing: settings.spacing,
+            mask_rendering: settings.mask_rendering,
             space: *space,
         };
         Self::describe(data, SavedField::Confies(confies), space.center_in_world)

@@ -70,7 +70,7 @@ mod tests {
 
     #[test]
     fn the_papers_schedules_match_the_check_values() {
-        let s = FitSettings::paper();
+        let (s, code) = (FitSettings::paper(), FitSettings::code());
         for (step, lr, attr) in [
             (1, 9.9999e-4, 0.099_991_7),
             (1_000, 9.908_32e-4, 0.092_044_9),
@@ -80,7 +80,8 @@ mod tests {
             (250_000, 1e-4, 0.0),
         ] {
             let close = |got: f64, want: f64| (got - want).abs() <= 2e-5 * want.abs();
-            assert!(close(s.learning_rate.at(step), lr), "lr at {step}: {}", s.learning_rate.at(step));
+            assert!(close(code.learning_rate.at(step), lr), "lr at {step}: {}", code.learning_rate.at(step));
+            assert!(close(s.learning_rate.at(step), lr / 10.0), "lr at {step}: {}", s.learning_rate.at(step));
             assert!(close(s.attribute_weight.at(step), attr), "w_attr at {step}: {}", s.attribute_weight.at(step));
         }
         for (step, hyper, warp) in [

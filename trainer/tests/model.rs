@@ -7,7 +7,7 @@ use std::ops::Range;
 use burn::module::Module as _;
 use burn::tensor::{Device, Tensor, TensorData};
 use risorius_trainer::config::FitSettings;
-use risorius_trainer::model::{ConfiesModel, Level, RayCodes, Windows};
+use risorius_trainer::model::{ConfiesModel, Level, RayCodes, Uncertain, Windows};
 use risorius_trainer::volume;
 
 /// The paper's groups: 3 brow, 5 eye and 9 mouth AUs.
@@ -89,18 +89,20 @@ impl burn::module::ModuleMapper for Amplify {
 }
 
 #[test]
-fn the_paper_preset_has_the_papers_parameter_count() {
+fn the_presets_have_the_published_parameter_counts() {
     let device = Device::flex();
-    let model = ConfiesModel::new(&FitSettings::paper().model, &paper_groups(), 375, 0, &device);
-    assert_eq!(model.num_params(), 5_191_863);
+    for (settings, count) in [(FitSettings::paper(), 5_191_863), (FitSettings::code(), 8_074_423)] {
+        let model = ConfiesModel::new(&settings.model, &paper_groups(), 375, 0, &device);
+        assert_eq!(model.num_params(), count, "{}", settings.preset);
+    }
 }
 
 #[test]
 fn an_au_of_one_region_leaves_the_other_masks_bit_identical() {
     let s = Setup::new(Device::flex());
     let logits = |alpha: Vec<f32>| {
-        let out = s.model.evaluate(Level::Fine, s.points(), &s.codes(alpha), s.open(), false);
-        numbers(out.mask_logits)
+        let out = s.model.evaluate(Level::Fine, s.points(), &s.codes(alpha), s.open(), &Uncertain::None);
+        numbers(out.mask_logits.unwrap())
     };
     let base = noise(RAYS * 17, 3);
     let before = logits(base.clone());
@@ -125,8 +127,9 @@ fn with_the_hyper_window_shut_the_field_does_not_see_the_attributes() {
     let s = Setup::new(Device::flex());
     let shut = Windows { hyper: 0.0, ..s.open() };
     let render = |alpha| {
-        let out = s.model.evaluate(Level::Coarse, s.points(), &s.codes(alpha), shut, true);
-        [numbers(out.density), numbers(out.color), numbers(out.mask_logits)]
+        let out = s.model.evaluate(Level::Coarse, s.points(), &s.codes(alpha), shut, &Uncertain::All);
+        let (logits, beta) = (out.mask_logits.unwrap(), out.uncertainty.unwrap());
+        [numbers(out.density), numbers(out.color), numbers(logits), numbers(beta)]
     };
     assert_eq!(render(noise(RAYS * 17, 3)), render(noise(RAYS * 17, 4)));
 }
@@ -134,10 +137,10 @@ fn with_the_hyper_window_shut_the_field_does_not_see_the_attributes() {
 #[test]
 fn masks_and_uncertainties_leave_the_density_alone() {
     let s = Setup::plain(Device::flex().autodiff());
-    let out = s.model.evaluate(Level::Fine, s.points(), &s.codes(noise(RAYS * 17, 3)), s.open(), true);
+    let out = s.model.evaluate(Level::Fine, s.points(), &s.codes(noise(RAYS * 17, 3)), s.open(), &Uncertain::All);
     let deltas = Tensor::<2>::full([RAYS, SAMPLES], 0.2, &s.device);
     let still = volume::weights(out.density.clone(), deltas).detach();
-    let mask = volume::composite(still.clone(), out.mask_logits.clone()).sum();
+    let mask = volume::composite(still.clone(), out.mask_logits.clone().unwrap()).sum();
     let beta = volume::composite(still, out.uncertainty.unwrap()).sum();
     let grads = (mask + beta).backward();
     assert!(out.density.grad(&grads).is_none_or(|g| numbers(g).iter().all(|&v| v == 0.0)));
@@ -150,7 +153,7 @@ fn the_same_seed_gives_the_same_weights_and_another_seed_others() {
         let model = ConfiesModel::new(&FitSettings::tiny().model, &paper_groups(), 3, seed, &device);
         let frames = Tensor::from_data(TensorData::new(vec![0, 1, 2], [3]), &device);
         let omega = model.latent_codes(frames);
-        [numbers(omega.clone()), numbers(model.attributes_of(omega))]
+        [numbers(omega.clone()), numbers(model.attributes_of(omega).unwrap())]
     };
     assert_eq!(weights(5), weights(5));
     assert_ne!(weights(5), weights(6));

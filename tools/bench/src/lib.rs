@@ -3,4 +3,5 @@
 
 pub mod brick;
 pub mod child;
+pub mod confies;
 pub mod panels;

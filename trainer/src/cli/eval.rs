@@ -19,12 +19,13 @@ use crate::eval::report::{self, Report};
 use crate::eval::{Evaluation, Lpips, LpipsNetwork, lpips};
 use crate::jobs::control::{ControlSettings, control, control_csv, decoupling, default_tracker, write_text};
 use crate::jobs::evaluate::{Judged, evaluate};
+use crate::jobs::interpolate;
 use crate::studio::Look;
 
 /// Options of `trainer eval`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  trainer eval runs/ada --views test/views.json\n  trainer eval runs/ada                                  the dataset's validation frames: the interpolation protocol where it was built with every other frame\n  trainer eval runs/ada --views test/views.json --renders renders\n  trainer eval runs/ada --views test/views.json --lpips alex --control --decoupling\n\nWrites eval.json, views.csv and report.html into RUN/eval, and control.csv with `--control`."
+    after_help = "Examples:\n  trainer eval runs/ada --views test/views.json\n  trainer eval runs/ada                                  the dataset's validation frames: the interpolation protocol where it was built with every other frame\n  trainer eval runs/ada --interpolate                    the same with codes between neighbours instead of AUs\n  trainer eval runs/ada --views test/views.json --renders renders\n  trainer eval runs/ada --views test/views.json --lpips alex --control --decoupling\n\nWrites eval.json, views.csv and report.html into RUN/eval, and control.csv with `--control`."
 )]
 pub(super) struct EvalArgs {
     /// The run's folder
@@ -32,6 +33,10 @@ pub(super) struct EvalArgs {
     /// Views with true images [default: the dataset's validation frames]
     #[arg(long, value_name = "VIEWS.json")]
     views: Option<PathBuf>,
+    /// Render validation frames with the codes between their neighbours', and the attributes these codes give, instead
+    /// of the annotated AUs: the paper's interpolation test, of `--field confies` only
+    #[arg(long, conflicts_with_all = ["views", "no_views", "baked"])]
+    interpolate: bool,
     /// Score pictures that `trainer render` made before, instead of rendering
     #[arg(long, value_name = "DIR", requires = "views")]
     renders: Option<PathBuf>,
@@ -121,9 +126,17 @@ pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     } else {
         None
     };
+    if let Some(avatar) = avatar.as_ref().filter(|_| !args.interpolate) {
+        super::warn_if_unsteered(avatar, console);
+    }
     let renders = args.renders.clone().unwrap_or_else(|| folder.join("renders"));
     let evaluation = match (&views, &avatar) {
         (None, _) => None,
+        (Some((views, list)), Some(avatar)) if args.interpolate => {
+            let dataset = risorius_formats::nerfies::Dataset::read(list.parent().unwrap_or(Path::new(".")))?;
+            let places = interpolate::places(avatar, &args.run, &dataset)?;
+            Some(evaluate(views, list, Judged::Between(avatar, &places, &renders), &mut networks, console)?)
+        }
         (Some((views, list)), Some(avatar)) if args.renders.is_none() => {
             let look = Look { skips: args.skips.skips()?, baked: args.baked, full: false };
             Some(evaluate(views, list, Judged::Avatar(avatar, look, &renders), &mut networks, console)?)
@@ -265,7 +278,8 @@ fn validation_views(run: &Path) -> Result<(ViewList, PathBuf), TrainerError> {
     let scale = saved.image_scale;
     let table = &saved.table;
     let mut views = Vec::new();
-    for id in &dataset.val_ids {
+    let (_, held_out) = crate::data::split(&dataset, interpolate::interval_of(run));
+    for id in &held_out {
         let Some(camera) = dataset.cameras.get(id) else { continue };
         let number = id.parse::<u32>().ok();
         let aus = dataset

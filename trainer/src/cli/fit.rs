@@ -6,12 +6,14 @@ use risorius_console::{AgainArgs, Console, Failure, Inputs, Running, Stage};
 use risorius_formats::Reporter as _;
 use serde::{Deserialize, Serialize};
 
-use super::{DeviceArgs, need, parse_duration};
-use crate::config::{FitSettings, PRESETS};
+use super::{DeviceArgs, need, parse_bytes, parse_duration};
+use crate::config::{FitSettings, ModelKind, PRESETS};
+use crate::cost::StepCost;
 use crate::data::TrainData;
 use crate::error::TrainerError;
+use crate::fit::estimate::{Estimate, estimate};
 use crate::fit::{self, Limits};
-use crate::model::{ConfiesModel, region_groups};
+use crate::model::region_groups;
 
 /// Options of `trainer fit`.
 #[derive(Debug, clap::Args)]
@@ -27,9 +29,19 @@ pub(super) struct FitArgs {
     /// The field to fit: brick (fast) or confies (the paper's networks) [default: brick]
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
-    /// Sizes and schedules of confies: cpu, paper or tiny [default: cpu]
+    /// Sizes and schedules of confies: cpu, paper (its words), code (the released code) or tiny [default: cpu]
     #[arg(long, value_name = "NAME")]
     pub(super) preset: Option<String>,
+    /// With `--field confies`, a model of the paper's tables instead: conerf, conerf-m, hypernerf, hypernerf-ap, nerfies,
+    /// nerf-latent or nerf [default: confies]
+    #[arg(long, value_name = "NAME")]
+    pub(super) model: Option<ModelKind>,
+    /// Fit every so many frames of the dataset and hold out those in the middle; 2 is the paper's interpolation test
+    #[arg(long, value_name = "N")]
+    pub(super) interval: Option<usize>,
+    /// Memory that confies may take, such as 2GiB: rays go through the networks in parts, with the same gradient
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+    pub(super) memory_limit: Option<u64>,
     /// Wall time to spend, such as 60s or 10m; schedules are stretched to it [default for brick: 2m]
     #[arg(long, value_name = "TIME", value_parser = parse_duration, conflicts_with = "steps")]
     pub(super) budget: Option<f64>,
@@ -48,7 +60,7 @@ pub(super) struct FitArgs {
     /// Steps between checkpoints
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(super) checkpoint_every: Option<u64>,
-    /// Change a setting of the brick field, as in its settings.toml, such as step.grid_rate=0.005; may be repeated
+    /// Change a setting, as in settings.toml, such as step.grid_rate=0.005 or model.hyper_dims=4; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     pub(super) set: Vec<String>,
     #[command(flatten)]
@@ -91,7 +103,9 @@ pub(super) struct TrainerFile {
 
 #[derive(Serialize)]
 struct Plan<'a> {
-    parameters: usize,
+    #[serde(flatten)]
+    cost: StepCost,
+    expected: Estimate,
     frames: usize,
     attributes: usize,
     regions: usize,
@@ -196,23 +210,24 @@ fn run_confies(args: &FitArgs, console: &Console) -> Result<(), Failure> {
         }
         work = Some((running, resume));
     }
-    let data = TrainData::load(&args.dataset, settings.image_scale, console)?;
+    let data = TrainData::load_every(&args.dataset, settings.image_scale, settings.interval, console)?;
+    let groups = region_groups(&data.table);
+    let cost = StepCost::of(&settings, &groups, data.frames.len(), data.bytes());
+    if let Some(limit) = args.memory_limit {
+        settings.micro_rays = rays_within(&cost, limit, settings.rays)?;
+    }
     if args.dry_run {
-        let model =
-            ConfiesModel::new(&settings.model, &region_groups(&data.table), data.frames.len(), settings.seed, &device);
+        let cost = StepCost::of(&settings, &groups, data.frames.len(), data.bytes());
         let plan = Plan {
-            parameters: burn::module::Module::num_params(&model),
+            expected: estimate(&data, &settings, &cost, &device)?,
+            cost,
             frames: data.frames.len(),
             attributes: data.table.attributes.len(),
             regions: data.table.regions.len(),
             image_scale: data.scale,
             settings: &settings,
         };
-        let human = format!(
-            "would fit {} parameters to {} frames (scale {}) in {} steps of {} rays",
-            plan.parameters, plan.frames, plan.image_scale, settings.steps, settings.rays
-        );
-        console.finish(&plan, &human);
+        console.finish(&plan, &plan.words());
         return Ok(());
     }
     let limits = Limits { budget_secs: args.budget };
@@ -222,6 +237,59 @@ fn run_confies(args: &FitArgs, console: &Console) -> Result<(), Failure> {
     running.finish(&OUTPUTS)?;
     console.finish(&summary, &describe(&summary));
     Ok(())
+}
+
+/// Rays that may go together; 0 for all.
+fn rays_within(cost: &StepCost, limit: u64, rays: usize) -> Result<usize, Failure> {
+    let memory = &cost.memory;
+    match memory.rays_within(limit) {
+        Some(together) if together >= rays => Ok(0),
+        Some(together) => Ok(together),
+        None => {
+            let fixed = mib(memory.program_bytes + memory.parameters_bytes + memory.images_bytes);
+            Err(Failure::input(format!("`--memory-limit`: {:.0} MiB are too little", mib(limit))).with_hint(format!(
+                "the program, images, weights and moments alone take {fixed:.0} MiB; choose a coarser `--image-scale` or a smaller preset"
+            )))
+        }
+    }
+}
+
+fn mib(bytes: u64) -> f64 {
+    bytes as f64 / (1024.0 * 1024.0)
+}
+
+impl Plan<'_> {
+    fn words(&self) -> String {
+        let (cost, memory, expected) = (&self.cost, &self.cost.memory, &self.expected);
+        format!(
+            "would fit {} parameters to {} frames (scale {}) in {} steps of {} rays\n\
+             {:.3} TFLOP per step, {:.0} MiB of memory ({} rays together)\n\
+             about {} in all, {:.2} s per step ({})",
+            cost.parameters,
+            self.frames,
+            self.image_scale,
+            self.settings.steps,
+            self.settings.rays,
+            cost.flops_per_iteration * 1e-12,
+            mib(memory.total_bytes),
+            memory.rays_together,
+            duration(expected.expected_secs),
+            expected.seconds_per_step,
+            expected.measured,
+        )
+    }
+}
+
+fn duration(secs: f64) -> String {
+    if secs < 120.0 {
+        format!("{secs:.0} s")
+    } else if secs < 7200.0 {
+        format!("{:.0} min", secs / 60.0)
+    } else if secs < 172_800.0 {
+        format!("{:.1} h", secs / 3600.0)
+    } else {
+        format!("{:.0} days", secs / 86_400.0)
+    }
 }
 
 /// Command line, then the settings of the run to resume, then `risorius.toml`, then the preset.
@@ -234,6 +302,12 @@ fn resolve(args: &FitArgs, resume: bool) -> Result<FitSettings, Failure> {
             return Err(Failure::input(format!("the run was begun with preset `{}`", settings.preset))
                 .with_hint("leave out `--preset`"));
         }
+        if args.model.is_some_and(|m| m != settings.model.kind) {
+            let begun = settings.model.kind.name();
+            return Err(
+                Failure::input(format!("the run was begun with model `{begun}`")).with_hint("leave out `--model`")
+            );
+        }
         if let Some(steps) = args.steps {
             settings.steps = steps;
         }
@@ -242,7 +316,8 @@ fn resolve(args: &FitArgs, resume: bool) -> Result<FitSettings, Failure> {
     let file: TrainerFile = risorius_console::settings("trainer")?;
     let file = file.fit;
     let preset = args.preset.clone().or(file.preset).unwrap_or_else(|| PRESETS[0].to_owned());
-    let mut settings = FitSettings::preset(&preset)?;
+    let mut settings = FitSettings::preset(&preset)?.with_model(args.model.unwrap_or_default());
+    settings.interval = args.interval.unwrap_or(settings.interval);
     if let Some(steps) = args.steps.or(file.steps) {
         settings = settings.with_steps(steps);
     }
@@ -250,7 +325,28 @@ fn resolve(args: &FitArgs, resume: bool) -> Result<FitSettings, Failure> {
     settings.checkpoint_every = args.checkpoint_every.unwrap_or(settings.checkpoint_every);
     settings.rays = args.rays.or(file.rays).unwrap_or(settings.rays);
     settings.image_scale = args.image_scale.or(file.image_scale).unwrap_or(settings.image_scale);
-    Ok(settings)
+    args.set.iter().try_fold(settings, |settings, change| changed(&settings, change))
+}
+
+/// The settings with one changed, `KEY=VALUE` as in `settings.toml`; dots lead into tables.
+pub(super) fn changed<T: Serialize + serde::de::DeserializeOwned>(settings: &T, change: &str) -> Result<T, Failure> {
+    let wrong = |why: &str| Failure::usage(format!("`--set {change}`: {why}"));
+    let (key, value) = change.split_once('=').ok_or_else(|| wrong("expected KEY=VALUE"))?;
+    let mut value: toml::Table = toml::from_str(&format!("value = {value}")).map_err(|e| wrong(e.message()))?;
+    let value = value.remove("value").ok_or_else(|| wrong("no value"))?;
+    let mut all = toml::Table::try_from(settings).map_err(|e| wrong(&e.to_string()))?;
+    let (tables, last) = key.trim().rsplit_once('.').map_or((None, key.trim()), |(t, l)| (Some(t), l));
+    let mut table = &mut all;
+    for name in tables.iter().flat_map(|t| t.split('.')) {
+        table =
+            table.get_mut(name).and_then(toml::Value::as_table_mut).ok_or_else(|| wrong("there is no such table"))?;
+    }
+    if !table.contains_key(last) {
+        let known: Vec<&str> = table.keys().map(String::as_str).collect();
+        return Err(wrong(&format!("there is no such setting here, only {}", known.join(", "))));
+    }
+    table.insert(last.to_owned(), value);
+    all.try_into().map_err(|e: toml::de::Error| wrong(e.message()))
 }
 
 /// Refuses to mix two fits in one folder. What is `ours` is a fit that was begun and left nothing to go on from.
@@ -264,7 +360,7 @@ fn prepare_run(args: &FitArgs, resume: bool, ours: bool) -> Result<(), Failure> 
             .with_hint("go on with `--resume`, or replace it with `--force`"));
     }
     if taken {
-        for name in ["checkpoints", "eval"] {
+        for name in ["checkpoints", "eval", fit::tensorboard::FOLDER] {
             let path = args.out.join(name);
             if path.exists() {
                 std::fs::remove_dir_all(&path).map_err(|e| risorius_formats::FormatError::io(&path, "remove", &e))?;

@@ -3,7 +3,7 @@
 use risorius_console::{Console, Failure};
 use serde::Serialize;
 
-use super::fit::{FitArgs, OUTPUTS, TrainerFile, begin, describe, read_settings};
+use super::fit::{FitArgs, OUTPUTS, TrainerFile, begin, changed, describe, read_settings};
 use crate::brick::fit::{BrickSettings, fit};
 use crate::data::TrainData;
 
@@ -17,8 +17,15 @@ struct Plan<'a> {
 }
 
 pub(super) fn run(args: &FitArgs, console: &Console) -> Result<(), Failure> {
-    if args.preset.is_some() || args.rays.is_some() {
-        return Err(Failure::usage("`--preset` and `--rays` belong to `--field confies`"));
+    let of_confies = [
+        ("--preset", args.preset.is_some()),
+        ("--model", args.model.is_some()),
+        ("--rays", args.rays.is_some()),
+        ("--interval", args.interval.is_some()),
+        ("--memory-limit", args.memory_limit.is_some()),
+    ];
+    if let Some((name, _)) = of_confies.iter().find(|(_, given)| *given) {
+        return Err(Failure::usage(format!("`{name}` belongs to `--field confies`")));
     }
     args.device.device()?;
     let mut settings = resolve(args, args.resume)?;
@@ -83,28 +90,7 @@ fn resolve(args: &FitArgs, resume: bool) -> Result<BrickSettings, Failure> {
     settings.checkpoint_every = args.checkpoint_every.unwrap_or(settings.checkpoint_every);
     settings.step.seed = args.seed.unwrap_or(settings.step.seed);
     settings.image_scale = args.image_scale.unwrap_or(settings.image_scale);
-    args.set.iter().try_fold(settings, |settings, change| set(&settings, change))
-}
-
-/// The settings with one changed, `KEY=VALUE` as in `settings.toml`; dots lead into tables.
-fn set(settings: &BrickSettings, change: &str) -> Result<BrickSettings, Failure> {
-    let wrong = |why: &str| Failure::usage(format!("`--set {change}`: {why}"));
-    let (key, value) = change.split_once('=').ok_or_else(|| wrong("expected KEY=VALUE"))?;
-    let mut value: toml::Table = toml::from_str(&format!("value = {value}")).map_err(|e| wrong(e.message()))?;
-    let value = value.remove("value").ok_or_else(|| wrong("no value"))?;
-    let mut all = toml::Table::try_from(settings).map_err(|e| wrong(&e.to_string()))?;
-    let (tables, last) = key.trim().rsplit_once('.').map_or((None, key.trim()), |(t, l)| (Some(t), l));
-    let mut table = &mut all;
-    for name in tables.iter().flat_map(|t| t.split('.')) {
-        table =
-            table.get_mut(name).and_then(toml::Value::as_table_mut).ok_or_else(|| wrong("there is no such table"))?;
-    }
-    if !table.contains_key(last) {
-        let known: Vec<&str> = table.keys().map(String::as_str).collect();
-        return Err(wrong(&format!("there is no such setting here, only {}", known.join(", "))));
-    }
-    table.insert(last.to_owned(), value);
-    all.try_into().map_err(|e: toml::de::Error| wrong(e.message()))
+    args.set.iter().try_fold(settings, |settings, change| changed(&settings, change))
 }
 
 #[cfg(test)]
@@ -114,12 +100,12 @@ mod tests {
     #[test]
     fn one_setting_changes_and_others_stay() {
         let before = BrickSettings::default();
-        let after = set(&before, "finest_level=256").unwrap();
+        let after = changed(&before, "finest_level=256").unwrap();
         assert_eq!(after, BrickSettings { finest_level: 256, ..before.clone() });
-        let after = set(&before, "step.smooth = [0.1, 0.2]").unwrap();
+        let after = changed(&before, "step.smooth = [0.1, 0.2]").unwrap();
         assert_eq!(after.step.smooth, [0.1, 0.2]);
         for wrong in ["finest_level", "finest=3", "step.smooth=1", "nowhere.at=1", "finest_level=\"x"] {
-            assert!(set(&before, wrong).is_err(), "{wrong}");
+            assert!(changed(&before, wrong).is_err(), "{wrong}");
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Glue between the command line and the library: what was typed becomes settings, results become text or JSON.
 
+mod devices;
 mod eval;
 mod export;
 mod fit;
@@ -47,6 +48,8 @@ enum Command {
     Export(export::ExportArgs),
     /// Turn and steer the avatar in a page on this machine
     View(view::ViewArgs),
+    /// List the devices of this build, and which are here
+    Devices,
 }
 
 /// Runs what was typed.
@@ -58,13 +61,17 @@ pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
         Command::Transfer(args) => transfer::run(args, console),
         Command::Export(args) => export::run(args, console),
         Command::View(args) => view::run(args, console),
+        Command::Devices => {
+            devices::run(console);
+            Ok(())
+        }
     }
 }
 
 /// The device and its threads.
 #[derive(Clone, Debug, clap::Args)]
 struct DeviceArgs {
-    /// Where to compute: cpu (cuda and wgpu are not in this build)
+    /// Where to compute: cpu, or cuda and wgpu where they are built in (see `trainer devices`)
     #[arg(long, value_name = "NAME")]
     device: Option<String>,
     /// Worker threads [default: one per core]
@@ -82,19 +89,16 @@ impl DeviceArgs {
         if let Some(threads) = self.threads {
             crate::kernel::set_threads(threads);
         }
-        match self.device.as_deref().unwrap_or("cpu") {
-            "cpu" => Ok(Device::flex()),
-            name @ ("cuda" | "wgpu") => Err(TrainerError::Device {
-                device: name.to_owned(),
-                message: "is not in this build".to_owned(),
-                hint: "use `--device cpu`; GPU devices come with a later release".to_owned(),
-            }),
-            name => Err(TrainerError::Device {
-                device: name.to_owned(),
-                message: "is not known".to_owned(),
-                hint: "devices: cpu, cuda, wgpu".to_owned(),
-            }),
-        }
+        crate::devices::open(self.device.as_deref().unwrap_or("cpu"))
+    }
+}
+
+/// Says so where AUs cannot change anything.
+fn warn_if_unsteered(avatar: &crate::Avatar, console: &Console) {
+    use risorius_formats::Reporter as _;
+    if !avatar.is_steered() {
+        let message = "this model has no attributes: every picture shows the resting frame's face, whatever the AUs";
+        console.warn(risorius_formats::Warning::new("unsteered", message));
     }
 }
 
@@ -150,6 +154,25 @@ fn run_inputs(inputs: Inputs, role: &str, run: &Path) -> Inputs {
     ["model.json", "model.safetensors"].iter().fold(inputs, |all, file| all.file(name(file), run.join(file)))
 }
 
+/// Reads a size like `2GiB`, `800MiB`, `4GB` or plain bytes.
+fn parse_bytes(text: &str) -> Result<u64, String> {
+    let (number, unit) = text.find(|c: char| c.is_ascii_alphabetic()).map_or((text, "B"), |i| text.split_at(i));
+    let factor = match unit.trim() {
+        "B" => 1.0,
+        "kB" | "KB" => 1e3,
+        "MB" => 1e6,
+        "GB" => 1e9,
+        "KiB" | "K" => 1024.0,
+        "MiB" | "M" => 1024.0 * 1024.0,
+        "GiB" | "G" => 1024.0 * 1024.0 * 1024.0,
+        _ => return Err(format!("`{unit}` is not a unit of memory; write `800MiB` or `2GiB`")),
+    };
+    match number.trim().parse::<f64>() {
+        Ok(n) if n.is_finite() && n > 0.0 => Ok((n * factor) as u64),
+        _ => Err(format!("`{text}` is not a size; write `800MiB` or `2GiB`")),
+    }
+}
+
 fn need(path: &PathBuf, what: &str) -> Result<(), TrainerError> {
     if path.exists() {
         return Ok(());
@@ -171,6 +194,11 @@ mod tests {
         assert_eq!(parse_duration("60"), Ok(60.0));
         for bad in ["", "s", "-1s", "5 days", "nan"] {
             assert!(parse_duration(bad).is_err(), "{bad}");
+        }
+        assert_eq!(parse_bytes("2GiB"), Ok(2 << 30));
+        assert_eq!(parse_bytes("1.5MB"), Ok(1_500_000));
+        for bad in ["", "GiB", "-1GiB", "2 weeks", "nan"] {
+            assert!(parse_bytes(bad).is_err(), "{bad}");
         }
         assert_eq!(parse_au("AU12=3.5").unwrap(), (risorius_formats::ActionUnit(12), 3.5));
         for bad in ["AU12", "AU12=6", "AU12=x", "=1", "12=-1"] {

@@ -117,6 +117,7 @@ pub(super) fn run(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     }
     let curves = args.curves.as_ref().map(|path| Driver::of_table(path, 0.0, console)).transpose()?;
     let avatar = Avatar::open(&args.run, &args.device.device()?)?;
+    super::warn_if_unsteered(&avatar, console);
     let fps = keys.as_ref().map_or(args.fps.unwrap_or(15.0), |k| k.fps);
     let shots = match &views {
         Some(views) => shots_of_views(&avatar, views, console),

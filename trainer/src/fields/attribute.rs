@@ -11,19 +11,23 @@ use crate::mlp::{Init, Mlp, spec};
 #[derive(Module, Debug)]
 pub struct AttributeNet {
     net: Mlp,
+    #[module(skip)]
+    has_tanh: bool,
 }
 
 impl AttributeNet {
     /// A fresh network for `attributes` outputs.
     pub fn new(config: &ModelConfig, attributes: usize, rng: &mut impl Rng, device: &Device) -> Self {
-        Self { net: Mlp::new(config.latent_dims, spec(config.attribute, Some(attributes)), Init::Glorot, rng, device) }
+        let net = Mlp::new(config.latent_dims, spec(config.attribute, Some(attributes)), Init::Glorot, rng, device);
+        Self { net, has_tanh: config.kind.has_tanh() }
     }
 
-    /// α in −1..1.
+    /// α, in −1..1 where the model has a tanh.
     ///
     /// # Shapes
     /// `omega`: `[r, latent]`, result: `[r, K]`
     pub fn forward(&self, omega: Tensor<2>) -> Tensor<2> {
-        self.net.forward(omega).tanh()
+        let raw = self.net.forward(omega);
+        if self.has_tanh { raw.tanh() } else { raw }
     }
 }

@@ -26,9 +26,9 @@ impl DeformationField {
     /// The warped points.
     ///
     /// # Shapes
-    /// `x`: `[n, 3]`, `omega`: `[n, latent]`, `window`: `warp_bands` weights, result: `[n, 3]`
-    pub fn forward(&self, x: Tensor<2>, omega: Tensor<2>, window: &[f32]) -> Tensor<2> {
-        let screw = self.net.forward(Tensor::cat(vec![encoding::encode(x.clone(), window, true), omega], 1));
+    /// `x`: `[r · s, 3]`, ray after ray; `omega`: `[r, latent]`, `window`: `warp_bands` weights, result: `[r · s, 3]`
+    pub fn forward(&self, x: Tensor<2>, omega: &Tensor<2>, window: &[f32]) -> Tensor<2> {
+        let screw = self.net.forward_with_ray(encoding::encode(x.clone(), window, true), omega);
         se3::transform(&screw.clone().narrow(1, 0, 3), &screw.narrow(1, 3, 3), x)
     }
 }

@@ -1,7 +1,7 @@
-//! M: the region masks, `m_n = sigmoid(M_n(x', w_n1 … w_np, w_0))` (eq. 9; fact sheet §1.7).
+//! M: the masks, `m_n = sigmoid(M_n(x', w_n1 … w_np, w_0))` (eq. 9; fact sheet §1.7).
 //!
 //! Net n sees the ambient coordinates of its own group only: changing an AU of another region cannot change its logits,
-//! not even by a bit.
+//! not even by a bit. CoNeRF's one net sees all of them and gives a mask per attribute.
 
 use std::ops::Range;
 
@@ -9,15 +9,15 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use rand::Rng;
 
-use crate::config::ModelConfig;
+use crate::config::{BranchedSize, MaskKind, ModelConfig};
 use crate::encoding;
 use crate::mlp::BranchedNets;
 
-/// One mask net per region.
+/// The mask nets of one level.
 #[derive(Module, Debug)]
 pub struct MaskNets {
     nets: Vec<BranchedNets>,
-    /// Attributes of each region.
+    /// Attributes that each net sees.
     #[module(skip)]
     groups: Vec<Range<usize>>,
     /// Columns of one encoded ambient component.
@@ -27,22 +27,34 @@ pub struct MaskNets {
 
 impl MaskNets {
     /// Fresh nets for these groups of attributes.
-    pub fn new(config: &ModelConfig, groups: &[Range<usize>], rng: &mut impl Rng, device: &Device) -> Self {
+    pub fn new(
+        config: &ModelConfig,
+        size: BranchedSize,
+        groups: &[Range<usize>],
+        rng: &mut impl Rng,
+        device: &Device,
+    ) -> Self {
         let component = encoding::width(config.hyper_dims, config.hyper_bands, false);
         let position = encoding::width(3, config.template_bands, true);
+        let all = groups.last().map_or(0, |g| g.end);
+        let (groups, outputs) = match config.kind.masks() {
+            MaskKind::PerRegion => (groups.to_vec(), 1),
+            MaskKind::Joint => (std::iter::once(0..all).collect(), all),
+            MaskKind::None => (Vec::new(), 0),
+        };
         let nets = groups
             .iter()
-            .map(|g| BranchedNets::new(1, position + component * (g.len() + 1), config.mask, rng, device))
+            .map(|g| BranchedNets::new(1, position + component * (g.len() + 1), size, outputs, rng, device))
             .collect();
-        Self { nets, groups: groups.to_vec(), component }
+        Self { nets, groups, component }
     }
 
-    /// The mask logits.
+    /// The mask logits; `None` where there are no masks.
     ///
     /// # Shapes
     /// `position` γ(x'): `[n, p]`, `ambient` γ(w_1 … w_K): `[n, K · component]`, `rest` γ(w_0): `[n, component]`;
-    /// result: `[n, N]`
-    pub fn forward(&self, position: &Tensor<2>, ambient: &Tensor<2>, rest: &Tensor<2>) -> Tensor<2> {
+    /// result: `[n, masks]`
+    pub fn forward(&self, position: &Tensor<2>, ambient: &Tensor<2>, rest: &Tensor<2>) -> Option<Tensor<2>> {
         let logits = self.nets.iter().zip(&self.groups).map(|(net, group)| {
             let mut own = Vec::new();
             if !group.is_empty() {
@@ -51,6 +63,7 @@ impl MaskNets {
             own.push(rest.clone());
             net.forward(position.clone(), Tensor::cat(own, 1))
         });
-        Tensor::cat(logits.collect(), 1)
+        let logits: Vec<_> = logits.collect();
+        (!logits.is_empty()).then(|| Tensor::cat(logits, 1))
     }
 }

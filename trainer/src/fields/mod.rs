@@ -7,7 +7,7 @@ mod mask;
 mod template;
 mod uncertainty;
 
-pub use ambient::AmbientSlices;
+pub use ambient::{AmbientSlices, Slices};
 pub use attribute::AttributeNet;
 pub use deformation::DeformationField;
 pub use mask::MaskNets;

@@ -29,9 +29,8 @@ pub struct Template {
 }
 
 impl Template {
-    /// A fresh template for `components` encoded ambient components.
-    pub fn new(config: &ModelConfig, size: NetSize, components: usize, rng: &mut impl Rng, device: &Device) -> Self {
-        let hyper = components * encoding::width(config.hyper_dims, config.hyper_bands, false);
+    /// A fresh template for `hyper` encoded ambient coordinates.
+    pub fn new(config: &ModelConfig, size: NetSize, hyper: usize, rng: &mut impl Rng, device: &Device) -> Self {
         let d_in = encoding::width(3, config.template_bands, true) + hyper;
         let trunk = Mlp::new(d_in, spec(size, Some(1 + size.width)), Init::GlorotHeads, rng, device);
         let d_in = size.width + encoding::width(3, config.view_bands, true);
@@ -42,14 +41,16 @@ impl Template {
     /// Density and colour.
     ///
     /// # Shapes
-    /// `input` `[γ(x'), γ(W)]`: `[n, d_in]`, `view` γ(d): `[n, v]`
-    pub fn forward(&self, input: Tensor<2>, view: Tensor<2>) -> TemplateOutput {
+    /// `input` `[γ(x'), γ(W)]`: `[r · s, d_in]`, ray after ray; `view` γ(d): `[r, v]`
+    pub fn forward(&self, input: Tensor<2>, view: &Tensor<2>) -> TemplateOutput {
         let out = self.trunk.forward(input);
         let bottleneck = out.clone().narrow(1, 1, self.trunk.d_out() - 1);
         let raw = out.narrow(1, 0, 1).squeeze_dim::<1>(1);
-        TemplateOutput {
-            density: softplus(raw, 1.0),
-            color: sigmoid(self.color.forward(Tensor::cat(vec![bottleneck, view], 1))),
-        }
+        TemplateOutput { density: softplus(raw, 1.0), color: sigmoid(self.color.forward_with_ray(bottleneck, view)) }
+    }
+
+    /// Where it lives.
+    pub fn device(&self) -> Device {
+        self.trunk.device()
     }
 }

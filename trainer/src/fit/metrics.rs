@@ -1,5 +1,6 @@
-//! `RUN/metrics.jsonl`: one line per logged step, unweighted terms.
+//! `RUN/metrics.jsonl`: one line per logged step, unweighted terms; the same numbers as TensorBoard events.
 
+use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -8,13 +9,15 @@ use risorius_formats::{FormatError, atomic};
 use serde::{Deserialize, Serialize};
 
 use super::StepNumbers;
+use super::norms::GradientNorms;
+use super::tensorboard::EventFile;
 use crate::error::Result;
 
 /// Steps between lines.
 const LOG_EVERY: u64 = 10;
 
 /// One line.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct MetricsLine {
     /// The step, from 1.
     pub step: u64,
@@ -34,6 +37,12 @@ pub struct MetricsLine {
     pub attribute: f64,
     /// L_lat.
     pub latent: f64,
+    /// Weight of L_attr.
+    pub attribute_weight: f64,
+    /// ‖∇‖₂ of everything.
+    pub gradient_norm: f64,
+    /// ‖∇‖₂ by part of the model.
+    pub gradient_norms: BTreeMap<String, f64>,
 }
 
 /// What every line has.
@@ -47,6 +56,7 @@ struct Stepped {
 pub struct MetricsLog {
     path: PathBuf,
     writer: BufWriter<File>,
+    events: EventFile,
 }
 
 impl MetricsLog {
@@ -65,11 +75,18 @@ impl MetricsLog {
         }
         atomic::write_file(&path, &kept)?;
         let file = OpenOptions::new().append(true).open(&path).map_err(|e| FormatError::io(&path, "open", &e))?;
-        Ok(Self { path, writer: BufWriter::new(file) })
+        Ok(Self { path, writer: BufWriter::new(file), events: EventFile::create(run)? })
     }
 
     /// Writes the numbers of the paper's networks every few steps.
-    pub fn record(&mut self, step: u64, seconds: f64, learning_rate: f64, n: &StepNumbers) -> Result<()> {
+    pub fn record(
+        &mut self,
+        step: u64,
+        seconds: f64,
+        [learning_rate, attribute_weight]: [f64; 2],
+        n: &StepNumbers,
+        norms: &GradientNorms,
+    ) -> Result<()> {
         if !Self::is_due(step) {
             return Ok(());
         }
@@ -83,6 +100,9 @@ impl MetricsLog {
             mask: n.mask,
             attribute: n.attribute,
             latent: n.latent,
+            attribute_weight,
+            gradient_norm: norms.total(),
+            gradient_norms: norms.parts.clone(),
         })
     }
 
@@ -94,19 +114,41 @@ impl MetricsLog {
     /// Writes one line, which must have a `step`.
     pub fn write(&mut self, line: &impl Serialize) -> Result<()> {
         let fail = |e: &std::io::Error| FormatError::io(&self.path, "write", e);
-        let text = serde_json::to_string(line)
-            .map_err(|e| FormatError::syntax(format!("cannot encode: {e}")).in_file(&self.path))?;
+        let encode = |e: serde_json::Error| FormatError::syntax(format!("cannot encode: {e}")).in_file(&self.path);
+        let text = serde_json::to_string(line).map_err(encode)?;
+        let value = serde_json::to_value(line).map_err(encode)?;
         writeln!(self.writer, "{text}").map_err(|e| fail(&e))?;
         self.writer.flush().map_err(|e| fail(&e))?;
-        Ok(())
+        let step = value.get("step").and_then(serde_json::Value::as_u64).unwrap_or(0);
+        let mut scalars = Vec::new();
+        flatten("", &value, &mut scalars);
+        self.events.scalars(step, &scalars)
     }
 
     /// Syncs the log.
     pub fn finish(self) -> Result<()> {
-        let Self { path, writer } = self;
+        let Self { path, writer, events: _ } = self;
         let file = writer.into_inner().map_err(|e| FormatError::io(&path, "write", &e.into_error()))?;
         file.sync_all().map_err(|e| FormatError::io(&path, "write", &e))?;
         Ok(())
+    }
+}
+
+/// The numbers of a line, the step left out; nested ones as `outer/inner`.
+fn flatten(prefix: &str, value: &serde_json::Value, out: &mut Vec<(String, f64)>) {
+    match value {
+        serde_json::Value::Object(map) => {
+            for (name, value) in map.iter().filter(|(name, _)| !(prefix.is_empty() && *name == "step")) {
+                let path = if prefix.is_empty() { name.clone() } else { format!("{prefix}/{name}") };
+                flatten(&path, value, out);
+            }
+        }
+        serde_json::Value::Array(items) => {
+            for (i, item) in items.iter().enumerate() {
+                flatten(&format!("{prefix}/{i}"), item, out);
+            }
+        }
+        _ => out.extend(value.as_f64().map(|v| (prefix.to_owned(), v))),
     }
 }
 

@@ -1,14 +1,17 @@
 //! The loop: draw rays, render both levels, sum the losses, step the optimiser, write what happened.
 
 pub mod checkpoint;
+pub mod estimate;
 pub mod metrics;
+pub mod norms;
 mod step;
+pub mod tensorboard;
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use burn::module::Module as _;
-use burn::optim::{AdamConfig, GradientsParams, ModuleOptimizer};
+use burn::optim::{AdamConfig, ModuleOptimizer};
 use burn::tensor::Device;
 use risorius_formats::run::RunManifest;
 use risorius_formats::{Reporter, Warning};
@@ -21,7 +24,7 @@ use crate::model::{ConfiesModel, region_groups};
 use crate::saved::SavedModel;
 use crate::space::NetSpace;
 
-pub use step::{StepNumbers, losses};
+pub use step::{StepNumbers, gradients, losses};
 pub(crate) use step::{host, points, rows};
 
 /// What a fit did.
@@ -78,7 +81,7 @@ pub fn fit(
 ) -> Result<FitSummary> {
     settings.validate()?;
     let mut settings = settings.clone();
-    let device = device.clone().autodiff();
+    let device = with_gradients(device, &settings);
     let space = NetSpace::new(&data.dataset.scene, data.extras(), settings.model.head_radius);
     let mut state = start(data, &settings, run, resume, &device)?;
     let parameters = state.model.num_params();
@@ -109,15 +112,15 @@ pub fn fit(
             break;
         }
         let step = state.step + 1;
-        let (loss, numbers) = losses(&state.model, data, &space, &settings, step);
-        let grads = loss.backward();
-        numbers.check_finite(step)?;
-        let grads = GradientsParams::from_grads(grads, &state.model);
+        let (grads, numbers) = gradients(&state.model, data, &space, &settings, step)?;
+        let norms = norms::GradientNorms::of(&state.model, &grads);
+        norms.check_finite(step)?;
         state.model = state.optimizer.step(settings.learning_rate.at(step), state.model, grads);
         state.step = step;
         recent.add(numbers.reconstruction_fine);
         let seconds = state.seconds_before + started.elapsed().as_secs_f64();
-        log.record(step, seconds, settings.learning_rate.at(step), &numbers)?;
+        let rates = [settings.learning_rate.at(step), settings.attribute_weight.at(step)];
+        log.record(step, seconds, rates, &numbers, &norms)?;
         reporter.advance(1);
         if step % 50 == 0 {
             reporter.note(&format!("step {step}: {:.2} dB", recent.psnr_db()));
@@ -158,12 +161,23 @@ pub fn fit(
 fn start(data: &TrainData, settings: &FitSettings, run: &Path, resume: bool, device: &Device) -> Result<State> {
     let groups = region_groups(&data.table);
     let model = ConfiesModel::new(&settings.model, &groups, data.frames.len(), settings.seed, device);
-    let optimizer = AdamConfig::new().with_epsilon(1e-8).init();
+    let optimizer = adam();
     if !resume {
         return Ok(State { model, optimizer, step: 0, seconds_before: 0.0 });
     }
     let loaded = checkpoint::load(run, model, optimizer, &data.sha256)?;
     Ok(State { model: loaded.model, optimizer: loaded.optimizer, step: loaded.step, seconds_before: loaded.seconds })
+}
+
+/// The device, with gradients recorded as the settings ask for.
+fn with_gradients(device: &Device, settings: &FitSettings) -> Device {
+    let device = device.clone().autodiff();
+    if settings.recompute { device.gradient_checkpointing() } else { device }
+}
+
+/// Adam as the family sets it (fact sheet §2.6): β 0.9 and 0.999, ε 1e-8, bias correction, no decay, no clipping.
+fn adam() -> ModuleOptimizer {
+    AdamConfig::new().with_beta_1(0.9).with_beta_2(0.999).with_epsilon(1e-8).init()
 }
 
 /// Times a few steps on a throw-away copy and stretches the schedules to what fits into `budget` seconds.
@@ -176,11 +190,7 @@ fn fit_to_budget(
     reporter: &dyn Reporter,
 ) -> Result<FitSettings> {
     const PROBES: u32 = 6;
-    let probe = |step: u64| -> Result<()> {
-        let (loss, _) = losses(model, data, space, &settings, step);
-        let _ = GradientsParams::from_grads(loss.backward(), model);
-        Ok(())
-    };
+    let probe = |step: u64| -> Result<()> { gradients(model, data, space, &settings, step).map(drop) };
     probe(1)?;
     let started = Instant::now();
     for step in 2..2 + u64::from(PROBES) {

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use image::RgbImage;
 use risorius_formats::views::{View, ViewList};
-use risorius_formats::{ErrorKind, FormatError, Reporter};
+use risorius_formats::{Camera, ErrorKind, FormatError, Reporter};
 
 use super::render::{shots_of_views, write_png};
-use crate::avatar::{Avatar, Render};
+use crate::avatar::{Avatar, Between, Render};
 use crate::error::{Result, TrainerError};
 use crate::eval::scores::{Parts, psnr_inside, score};
 use crate::eval::{Evaluation, Lpips, LpipsNetwork, ViewScore, depth, ms_ssim, ssim_map};
@@ -21,12 +21,14 @@ pub enum Judged<'a> {
     Folder(&'a Path),
     /// The avatar, rendered now; its pictures are kept in the folder.
     Avatar(&'a Avatar, Look, &'a Path),
+    /// The same with codes between those of training frames, by the view's id.
+    Between(&'a Avatar, &'a BTreeMap<String, Between>, &'a Path),
 }
 
 /// A picture with the render behind it, if it was rendered now.
 struct Picture {
     rgb: RgbImage,
-    render: Option<(Render, risorius_formats::Camera)>,
+    render: Option<(Render, Camera)>,
 }
 
 /// Compares pictures with the true images that the list names. Parts of images are judged where the avatar tells them
@@ -44,7 +46,7 @@ pub fn evaluate(
         Judged::Avatar(avatar, look, folder) => {
             Some((avatar, Studio::new(avatar, look), shots_of_views(avatar, &with_truth, reporter), folder))
         }
-        Judged::Folder(_) => None,
+        Judged::Folder(_) | Judged::Between(..) => None,
     };
     let mut scores = Vec::new();
     reporter.stage("evaluate", Some(with_truth.views.len() as u64));
@@ -62,6 +64,12 @@ pub fn evaluate(
                 let camera = shot.camera.reduced(reduce);
                 (Picture { rgb, render: Some((render, camera)) }, avatar.saved.table.regions.as_slice())
             }
+            (None, Judged::Between(avatar, places, folder)) => {
+                let render = render_between(avatar, view, places, list_path, reporter)?;
+                write_png(&folder.join(name), &render.rgb)?;
+                let picture = Picture { rgb: render.rgb.clone(), render: Some((render, Camera::from(&view.camera))) };
+                (picture, avatar.saved.table.regions.as_slice())
+            }
             (None, Judged::Folder(folder) | Judged::Avatar(_, _, folder)) => {
                 (Picture { rgb: crate::data::read_rgb(&folder.join(name))?, render: None }, &[][..])
             }
@@ -75,6 +83,19 @@ pub fn evaluate(
             .with_hint("a view's `image` names the true picture, relative to the list")
             .into()
     })
+}
+
+fn render_between(
+    avatar: &Avatar,
+    view: &View,
+    places: &BTreeMap<String, Between>,
+    list_path: &Path,
+    reporter: &dyn Reporter,
+) -> Result<Render> {
+    let fail = |message: String| FormatError::new(ErrorKind::Inconsistent, message).in_file(list_path);
+    let place = places.get(&view.id).ok_or_else(|| fail(format!("`{}` is no held-out frame of the run", view.id)))?;
+    let render = avatar.render_between(&Camera::from(&view.camera), *place, reporter)?;
+    Ok(render.ok_or_else(|| fail("the brick field has no codes to interpolate".to_owned()))?)
 }
 
 fn judge(

@@ -3,5 +3,6 @@
 pub mod control;
 pub mod evaluate;
 pub mod export;
+pub mod interpolate;
 pub mod render;
 pub mod transfer;

@@ -29,20 +29,67 @@ pub fn mlp(x: Tensor<2>, params: Tensor<1>, spec: &MlpSpec) -> Tensor<2> {
     hidden
 }
 
-/// Twin of [`grouped_mlp_forward`](super::grouped_mlp_forward).
-pub fn grouped_mlp(shared: Tensor<2>, own: Tensor<2>, params: Tensor<2>, spec: &MlpSpec) -> Tensor<2> {
-    let ([_, shared_size], [_, own_size], [groups, count]) = (shared.dims(), own.dims(), params.dims());
-    let size = own_size / groups;
-    let networks = (0..groups).map(|group| {
-        let own = (size > 0).then(|| own.clone().narrow(1, group * size, size));
-        let input = match own {
-            Some(own) if shared_size > 0 => Tensor::cat(vec![shared.clone(), own], 1),
-            Some(own) => own,
-            None => shared.clone(),
+/// Twin of [`mlp_forward_with_ray`](super::mlp_forward_with_ray): the ray's products are done once per ray.
+pub fn mlp_with_ray(x: Tensor<2>, ray: Tensor<2>, params: Tensor<1>, spec: &MlpSpec) -> Tensor<2> {
+    let ([rows, a], [rays, b]) = (x.dims(), ray.dims());
+    let mut start = 0;
+    let mut hidden = x.clone();
+    for (layer, (inputs, cols)) in spec.layers(a + b).enumerate() {
+        let weights = params.clone().narrow(0, start, inputs * cols).reshape([inputs, cols]);
+        let bias = params.clone().narrow(0, start + inputs * cols, cols).reshape([1, cols]);
+        start += (inputs + 1) * cols;
+        let skips = layer > 0 && spec.skip == Some(layer);
+        hidden = if layer == 0 || skips {
+            let of_rows = weights.clone().narrow(0, 0, inputs - b);
+            let of_ray = ray.clone().matmul(weights.narrow(0, inputs - b, b)) + bias;
+            let rows_in = if skips { Tensor::cat(vec![hidden, x.clone()], 1) } else { hidden };
+            let product = rows_in.matmul(of_rows).reshape([rays, rows / rays, cols]);
+            (product + of_ray.unsqueeze_dim::<3>(1)).reshape([rows, cols])
+        } else {
+            hidden.matmul(weights) + bias
         };
-        mlp(input, params.clone().narrow(0, group, 1).reshape([count]), spec)
-    });
-    Tensor::cat(networks.collect(), 1)
+        if layer < spec.depth {
+            hidden = relu(hidden);
+        }
+    }
+    hidden
+}
+
+/// Twin of [`grouped_mlp_forward`](super::grouped_mlp_forward): the shared input meets the weights of all networks in one
+/// product, the rest is batched over the networks (fact sheet §5.4, item 3).
+pub fn grouped_mlp(shared: Tensor<2>, own: Tensor<2>, params: Tensor<2>, spec: &MlpSpec) -> Tensor<2> {
+    let ([rows, s], [_, own_size], [groups, _]) = (shared.dims(), own.dims(), params.dims());
+    let o = own_size / groups;
+    // `[G, rows, o]`, where there is something of the networks' own.
+    let own = (o > 0).then(|| own.reshape([rows, groups, o]).swap_dims(0, 1));
+    let mut start = 0;
+    let mut hidden: Option<Tensor<3>> = None;
+    for (layer, (inputs, cols)) in spec.layers(s + o).enumerate() {
+        let part = |from: usize, count: usize| {
+            params.clone().narrow(1, start + from * cols, count * cols).reshape([groups, count, cols])
+        };
+        let recurrent = if layer == 0 { 0 } else { spec.width };
+        let mut sum = part(inputs, 1);
+        if let Some(hidden) = hidden.take() {
+            sum = hidden.matmul(part(0, recurrent)) + sum;
+        }
+        if inputs > recurrent {
+            if s > 0 {
+                let weights = part(recurrent, s).swap_dims(0, 1).reshape([s, groups * cols]);
+                sum = shared.clone().matmul(weights).reshape([rows, groups, cols]).swap_dims(0, 1) + sum;
+            }
+            if let Some(own) = &own {
+                sum = own.clone().matmul(part(recurrent + s, o)) + sum;
+            }
+        }
+        start += (inputs + 1) * cols;
+        hidden = Some(if layer < spec.depth { relu(sum) } else { sum });
+    }
+    let columns = spec.output_size();
+    hidden.map_or_else(
+        || Tensor::zeros([rows, 0], (&params.device(), params.dtype())),
+        |h| h.swap_dims(0, 1).reshape([rows, groups * columns]),
+    )
 }
 
 /// Twin of [`positional_encoding`](super::positional_encoding).

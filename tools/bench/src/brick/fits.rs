@@ -42,16 +42,7 @@ pub(super) fn measure(
     let fit = child::run("trainer", &args, &cli.work)?;
     let eval = child::run("trainer", &["eval", &out, "--views", &views], &cli.work)?;
     let number = |v: &Value, key: &str| v.get(key).and_then(Value::as_f64).unwrap_or(f64::NAN);
-    let mut psnr_db = BTreeMap::from([("all".to_owned(), number(&eval.document, "mean_psnr_db"))]);
-    let entries = |v: Option<&Value>| v.and_then(Value::as_object).cloned().into_iter().flatten().collect::<Vec<_>>();
-    for (kind, psnr) in entries(eval.document.get("mean_psnr_db_by_kind")) {
-        psnr_db.insert(kind, psnr.as_f64().unwrap_or(f64::NAN));
-    }
-    for (kind, parts) in entries(eval.document.get("mean_parts_psnr_db")) {
-        for (part, psnr) in entries(Some(&parts)) {
-            psnr_db.insert(format!("{kind}: {part}"), psnr.as_f64().unwrap_or(f64::NAN));
-        }
-    }
+    let psnr_db = psnr_of(&eval.document);
     let samples_per_sec = number(&fit.document, "samples_per_sec");
     Ok(Fit {
         name: name.to_owned(),
@@ -63,6 +54,22 @@ pub(super) fn measure(
         floor_share: samples_per_sec / floor.fit_samples_per_sec(),
         psnr_db,
     })
+}
+
+/// Mean PSNR of the pictures from the document of `trainer eval`: `all`, each kind of view, and parts as `kind: part`.
+pub(crate) fn psnr_of(eval: &Value) -> BTreeMap<String, f64> {
+    let mean = eval.get("mean_psnr_db").and_then(Value::as_f64).unwrap_or(f64::NAN);
+    let mut psnr_db = BTreeMap::from([("all".to_owned(), mean)]);
+    let entries = |v: Option<&Value>| v.and_then(Value::as_object).cloned().into_iter().flatten().collect::<Vec<_>>();
+    for (kind, psnr) in entries(eval.get("mean_psnr_db_by_kind")) {
+        psnr_db.insert(kind, psnr.as_f64().unwrap_or(f64::NAN));
+    }
+    for (kind, parts) in entries(eval.get("mean_parts_psnr_db")) {
+        for (part, psnr) in entries(Some(&parts)) {
+            psnr_db.insert(format!("{kind}: {part}"), psnr.as_f64().unwrap_or(f64::NAN));
+        }
+    }
+    psnr_db
 }
 
 /// The columns that the table shows of [`Fit::psnr_db`].

@@ -1,6 +1,6 @@
 //! `bench-brick`: run time against error of the brick field on one dataset with true pictures.
 
-mod fits;
+pub(crate) mod fits;
 mod pictures;
 mod plot;
 

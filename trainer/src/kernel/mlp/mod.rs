@@ -113,3 +113,25 @@ pub fn grouped_mlp_forward(shared: Tensor<2>, own: Tensor<2>, params: Tensor<2>,
         *spec,
     ))
 }
+
+/// What is constant along a ray, for each of its samples: `[r, c]` to `[r · s, c]`.
+pub fn per_sample(ray: &Tensor<2>, samples: usize) -> Tensor<2> {
+    let [rays, columns] = ray.dims();
+    ray.clone().unsqueeze_dim::<3>(1).expand([rays, samples, columns]).reshape([rays * samples, columns])
+}
+
+/// [`mlp_forward`] of `[x, ray]`, where `ray`, `[r, b]`, belongs to all of a ray's rows in `x`, `[r · s, a]`.
+///
+/// # Panics
+///
+/// As [`mlp_forward`].
+pub fn mlp_forward_with_ray(x: Tensor<2>, ray: &Tensor<2>, params: Tensor<1>, spec: &MlpSpec) -> Tensor<2> {
+    let ([rows, a], [rays, b], [count]) = (x.dims(), ray.dims(), params.dims());
+    assert!(rows.is_multiple_of(rays), "{rows} rows of {rays} rays");
+    if is_fused(&x) {
+        return mlp_forward(Tensor::cat(vec![x, per_sample(ray, rows / rays)], 1), params, spec);
+    }
+    spec.check();
+    assert_eq!(count, spec.parameter_count(a + b), "parameters of an MLP of {a} + {b} inputs and {spec:?}");
+    reference::mlp_with_ray(x, ray.clone(), params, spec)
+}

@@ -1,12 +1,17 @@
 //! The settings of a fit: sizes of every network, schedules, loss weights, sampling. Saved as `settings.toml`.
 //!
-//! `--preset paper` holds the sizes of fact sheet §1 and the schedules of §2.5; `--preset cpu` the same networks,
-//! smaller, with a schedule that ends after minutes on two cores.
+//! What the presets hold and where they differ: `docs/confies.md`.
+
+mod kind;
+mod presets;
 
 use risorius_formats::{ErrorKind, FormatError, Result};
 use serde::{Deserialize, Serialize};
 
 use crate::schedule::Schedule;
+
+pub use kind::{MaskKind, ModelKind, SliceKind};
+pub use presets::PRESETS;
 
 /// Depth and width of a dense network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -18,10 +23,6 @@ pub struct NetSize {
     pub width: usize,
 }
 
-const fn net(depth: usize, width: usize) -> NetSize {
-    NetSize { depth, width }
-}
-
 /// Hidden layer (from 0) before which a net's input is appended again; nets that are not deeper have no skip.
 pub const SKIP_LAYER: usize = 4;
 
@@ -29,10 +30,17 @@ pub const SKIP_LAYER: usize = 4;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BranchedSize {
-    /// The trunk.
+    /// The trunk; deeper than four layers it has the family's skip.
     pub trunk: NetSize,
-    /// Width of the last hidden layer, whose input is [trunk output, net input]; 0 leaves it out.
+    /// Width of the last hidden layer; 0 leaves it out.
     pub branch: usize,
+    /// Whether that layer sees `[trunk output, net input]` (the paper's words) or the trunk's output only.
+    #[serde(default = "yes")]
+    pub branch_skip: bool,
+}
+
+fn yes() -> bool {
+    true
 }
 
 /// How deep the samples of a ray lie.
@@ -55,10 +63,46 @@ pub enum AttributeSource {
     Annotated,
 }
 
+/// m_0, the mask of what no attribute moves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RestMask {
+    /// `1 − clip(Σ m, 0, 1)`, as the released code: never negative.
+    #[default]
+    Clipped,
+    /// `1 − Σ m`, as the paper writes it: negative where masks overlap.
+    Plain,
+}
+
+/// What of a mask is rendered along the ray.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MaskRendering {
+    /// Logits, with the sigmoid after: the released code.
+    #[default]
+    Logits,
+    /// Probabilities: the paper's eq. 11.
+    Probabilities,
+}
+
+/// In which order rays are drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RayOrder {
+    /// Each ray by itself, from all frames and pixels.
+    #[default]
+    Independent,
+    /// One random permutation of all rays, repeated epoch after epoch, as the released loader.
+    Epochs,
+}
+
 /// Sizes and encodings of the networks (fact sheet §1).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModelConfig {
+    /// CoNFies or one of the models that it is compared with.
+    #[serde(default)]
+    pub kind: ModelKind,
     /// Length of the deformation code ω.
     pub latent_dims: usize,
     /// A: ω → α.
@@ -77,6 +121,12 @@ pub struct ModelConfig {
     pub hyper_bands: usize,
     /// M_n: the mask nets.
     pub mask: BranchedSize,
+    /// M_n of the coarse level, where they differ.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mask_coarse: Option<BranchedSize>,
+    /// m_0.
+    #[serde(default)]
+    pub rest_mask: RestMask,
     /// B_i: the uncertainty nets.
     pub uncertainty: BranchedSize,
     /// F: the template.
@@ -120,6 +170,22 @@ pub struct FitSettings {
     pub rays: usize,
     /// Share of the rays drawn from pixels inside region masks; 0 draws all evenly, as the paper.
     pub region_share: f64,
+    /// Share of the rays drawn from frames with annotations, where there are frames of both sorts; 0 draws all alike.
+    #[serde(default)]
+    pub annotated_share: f64,
+    /// The order of the rays.
+    #[serde(default)]
+    pub ray_order: RayOrder,
+    /// Rays that go through the networks together, for the sake of memory; 0 for all. The gradient is that of all.
+    #[serde(default)]
+    pub micro_rays: usize,
+    /// Whether a device without this project's kernels forgets cheap activations and computes them again on the way back.
+    #[serde(default)]
+    pub recompute: bool,
+    /// Every so many frames is fitted and the one in the middle held out (even, the paper's tables: 2); 0 keeps the
+    /// dataset's own lists.
+    #[serde(default)]
+    pub interval: usize,
     /// Coarse samples per ray.
     pub coarse_samples: usize,
     /// Importance samples per ray; the fine level sees both.
@@ -128,6 +194,9 @@ pub struct FitSettings {
     pub spacing: Spacing,
     /// Source of α while fitting.
     pub attributes: AttributeSource,
+    /// What of the masks is rendered.
+    #[serde(default)]
+    pub mask_rendering: MaskRendering,
     /// The dataset's image scale; 0 takes the dataset's default.
     pub image_scale: u32,
     /// Learning rate by step.
@@ -148,133 +217,7 @@ pub struct FitSettings {
     pub model: ModelConfig,
 }
 
-/// Names of the presets.
-pub const PRESETS: [&str; 3] = ["cpu", "paper", "tiny"];
-
 impl FitSettings {
-    /// The preset of this name.
-    pub fn preset(name: &str) -> Result<Self> {
-        match name {
-            "paper" => Ok(Self::paper()),
-            "cpu" => Ok(Self::cpu()),
-            "tiny" => Ok(Self::tiny()),
-            _ => Err(FormatError::new(ErrorKind::Unsupported, format!("there is no preset `{name}`"))
-                .with_hint(format!("presets: {}", PRESETS.join(", ")))),
-        }
-    }
-
-    /// The paper's sizes with the released code's learning rate (fact sheet §10).
-    pub fn paper() -> Self {
-        let branched = BranchedSize { trunk: net(4, 128), branch: 64 };
-        Self {
-            preset: "paper".to_owned(),
-            seed: 0,
-            steps: 250_000,
-            rays: 512,
-            region_share: 0.0,
-            coarse_samples: 128,
-            fine_samples: 128,
-            spacing: Spacing::Depth,
-            attributes: AttributeSource::Learned,
-            image_scale: 0,
-            learning_rate: Schedule::Exponential { from: 1e-3, to: 1e-4, steps: 250_000 },
-            attribute_weight: Schedule::Exponential { from: 0.1, to: 0.0, steps: 250_000 },
-            attribute_cut: 1e-6,
-            hyper_window: Schedule::Ramp { delay: 1_000, from: 0.0, to: 1.0, steps: 10_000 },
-            warp_window: Schedule::Ramp { delay: 0, from: 0.0, to: 6.0, steps: 80_000 },
-            loss: LossWeights { mask: 0.01, latent: 1e-4 },
-            checkpoint_every: 1_000,
-            model: ModelConfig {
-                latent_dims: 128,
-                attribute: net(6, 32),
-                warp: net(6, 128),
-                warp_bands: 6,
-                sheet: net(6, 64),
-                sheet_bands: 6,
-                hyper_dims: 8,
-                hyper_bands: 1,
-                mask: branched,
-                uncertainty: branched,
-                template: net(8, 256),
-                template_coarse: net(8, 256),
-                template_bands: 8,
-                view_bands: 4,
-                color_width: 128,
-                head_radius: 0.0,
-            },
-        }
-    }
-
-    /// Small networks and a schedule of minutes on two cores.
-    pub fn cpu() -> Self {
-        let steps = 3_000;
-        Self {
-            preset: "cpu".to_owned(),
-            steps,
-            rays: 512,
-            region_share: 0.3,
-            coarse_samples: 24,
-            fine_samples: 24,
-            spacing: Spacing::Disparity,
-            attributes: AttributeSource::Annotated,
-            learning_rate: Schedule::Exponential { from: 5e-3, to: 5e-4, steps },
-            attribute_weight: Schedule::Exponential { from: 0.1, to: 0.0, steps },
-            attribute_cut: 1e-3,
-            hyper_window: Schedule::Ramp { delay: 0, from: 0.0, to: 1.0, steps: steps / 20 },
-            warp_window: Schedule::Ramp { delay: 0, from: 0.0, to: 4.0, steps: steps / 2 },
-            checkpoint_every: 500,
-            model: ModelConfig {
-                latent_dims: 8,
-                attribute: net(3, 32),
-                warp: net(3, 32),
-                warp_bands: 4,
-                sheet: net(2, 16),
-                sheet_bands: 5,
-                hyper_dims: 2,
-                hyper_bands: 1,
-                mask: BranchedSize { trunk: net(2, 32), branch: 0 },
-                uncertainty: BranchedSize { trunk: net(1, 16), branch: 0 },
-                template: net(4, 64),
-                template_coarse: net(2, 64),
-                template_bands: 8,
-                view_bands: 2,
-                color_width: 32,
-                head_radius: 0.5,
-            },
-            ..Self::paper()
-        }
-    }
-
-    /// Networks for tests: seconds, no quality.
-    pub fn tiny() -> Self {
-        let steps = 60;
-        let base = Self::cpu();
-        Self {
-            preset: "tiny".to_owned(),
-            steps,
-            rays: 64,
-            coarse_samples: 8,
-            fine_samples: 8,
-            learning_rate: Schedule::Exponential { from: 5e-3, to: 1e-3, steps },
-            attribute_weight: Schedule::Exponential { from: 0.1, to: 0.0, steps },
-            hyper_window: Schedule::Ramp { delay: 0, from: 0.0, to: 1.0, steps: 10 },
-            warp_window: Schedule::Ramp { delay: 0, from: 0.0, to: 4.0, steps: 30 },
-            checkpoint_every: 20,
-            model: ModelConfig {
-                warp: net(2, 16),
-                sheet: net(2, 8),
-                mask: BranchedSize { trunk: net(1, 16), branch: 0 },
-                uncertainty: BranchedSize { trunk: net(1, 8), branch: 0 },
-                template: net(2, 32),
-                template_coarse: net(2, 32),
-                template_bands: 5,
-                color_width: 16,
-                ..base.model
-            },
-            ..base
-        }
-    }
-
     /// The same preset with its schedules stretched or squeezed to `steps`.
     #[must_use]
     pub fn with_steps(mut self, steps: u64) -> Self {
@@ -299,10 +242,21 @@ impl FitSettings {
         if !(0.0..=1.0).contains(&self.region_share) {
             return fail("`region_share` must lie between 0 and 1");
         }
+        if !(0.0..=1.0).contains(&self.annotated_share) {
+            return fail("`annotated_share` must lie between 0 and 1");
+        }
+        if self.ray_order == RayOrder::Epochs && self.region_share > 0.0 {
+            return fail("`ray_order = \"epochs\"` takes every ray once: it goes with `region_share = 0` only");
+        }
+        if !self.interval.is_multiple_of(2) {
+            return fail("`interval` must be even: the frame in the middle is held out");
+        }
         if m.latent_dims == 0 || m.hyper_dims == 0 || m.hyper_bands == 0 || m.template_bands == 0 {
             return fail("`latent_dims`, `hyper_dims`, `hyper_bands` and `template_bands` must not be 0");
         }
-        let nets = [m.attribute, m.warp, m.sheet, m.template, m.template_coarse, m.mask.trunk, m.uncertainty.trunk];
+        let coarse = m.mask_coarse.unwrap_or(m.mask).trunk;
+        let nets =
+            [m.attribute, m.warp, m.sheet, m.template, m.template_coarse, m.mask.trunk, coarse, m.uncertainty.trunk];
         if nets.iter().any(|n| n.depth == 0 || n.width == 0) {
             return fail("every network needs a depth and a width");
         }
