@@ -120,7 +120,7 @@ fn settings_fill_in_what_the_command_line_leaves_out() {
     assert!(made.status.success(), "{}", stderr(&made));
     let manifest = fs::read_to_string(dir.path().join("take/take.toml")).unwrap();
     assert!(manifest.contains("subject = \"Bob\"") && manifest.contains("consent = \"lab\""), "{manifest}");
-    assert_eq!(names(&dir.path().join("take")), ["frames.csv", "take.toml"]);
+    assert_eq!(names(&dir.path().join("take")), ["frames.csv", "stage.json", "take.toml"]);
     fs::write(&settings, "[capture]\n\nsubjekt = \"Ada\"\n").unwrap();
     let refused = capture(dir.path(), &["record", "--input", "v.mp4", "--out", "other"]);
     assert_eq!(refused.status.code(), Some(1));

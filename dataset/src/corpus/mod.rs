@@ -8,7 +8,7 @@
 //!   metrics              a row per number that `trainer eval` found: kind of view, part, AU, metric, value
 //! ```
 //!
-//! [`collect`] files one dataset, [`summarise`] reads the whole, one file in memory at a time.
+//! [`collect()`] files one dataset, [`summarise`] reads the whole, one file in memory at a time.
 
 mod collect;
 mod numbers;
