@@ -150,7 +150,9 @@ fn unwritable(doing: &str, source: &io::Error) -> (String, Option<&'static str>)
         io::ErrorKind::DirectoryNotEmpty => {
             ("something was put there meanwhile", "another command may be at work on the same; look at what is there")
         }
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => ("no space left on the disk", "free some disk space and run the command again"),
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            ("no space left on the disk", "free some disk space and run the command again")
+        }
         _ => return (format!("cannot {doing}: {source}"), None),
     };
     (format!("cannot {doing}: {reason}"), Some(hint))

@@ -182,9 +182,6 @@ mod tests {
             "line 3: column `timestamp_nanos`: cannot use `x`: invalid digit found in string"
         );
         assert_eq!(error(b"index\n0\n"), "line 2: missing field `timestamp_nanos`");
-        assert_eq!(
-            with("1,-1,0,false,,,"),
-            "line 3: column `timestamp_nanos`: expected a time from 0 on, found -1"
-        );
+        assert_eq!(with("1,-1,0,false,,,"), "line 3: column `timestamp_nanos`: expected a time from 0 on, found -1");
     }
 }

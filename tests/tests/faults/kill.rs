@@ -131,17 +131,17 @@ pub(crate) fn check_same(line: &str, found: &BTreeMap<String, Vec<u8>>, expected
             let from = at.unwrap_or(0).saturating_sub(60);
             String::from_utf8_lossy(&bytes[from..bytes.len().min(from + 120)]).into_owned()
         };
-        assert!(found[file] == *bytes, "{file} of `{line}` differs at {at:?}: {} | {}", text(&found[file]), text(bytes));
+        assert!(
+            found[file] == *bytes,
+            "{file} of `{line}` differs at {at:?}: {} | {}",
+            text(&found[file]),
+            text(bytes)
+        );
     }
 }
 
 /// What lies there after a kill: files as they were before or of the undisturbed run and, hidden, what is not whole.
-fn check_left(
-    victim: &Victim,
-    dir: &Path,
-    before: &BTreeMap<String, Vec<u8>>,
-    expected: &BTreeMap<String, Vec<u8>>,
-) {
+fn check_left(victim: &Victim, dir: &Path, before: &BTreeMap<String, Vec<u8>>, expected: &BTreeMap<String, Vec<u8>>) {
     let found = files_but_hidden(dir);
     for (name, bytes) in &found {
         if victim.grows(name) {
@@ -186,14 +186,14 @@ fn copy_visible(from: &Path, to: &Path) {
 pub(crate) fn of_datasets() -> Vec<Victim> {
     vec![
         Victim::new(Made::Dataset, &["capture"], "capture -q record --input capture/video.mp4 --out take"),
-        Victim::new(Made::Dataset, &["capture", "take"], "capture -q record --input capture/video.mp4 --out take --force"),
-        Victim::new(Made::Dataset, &["capture", "take"], "tracker -q import take --openface capture/openface.csv"),
-        Victim::new(Made::Dataset, &["capture", "take"], "tracker -q poses take --colmap-model capture/truth_colmap"),
         Victim::new(
             Made::Dataset,
-            &["take"],
-            "dataset -q build take --balance --frames 24 --scale 2 --out dataset",
+            &["capture", "take"],
+            "capture -q record --input capture/video.mp4 --out take --force",
         ),
+        Victim::new(Made::Dataset, &["capture", "take"], "tracker -q import take --openface capture/openface.csv"),
+        Victim::new(Made::Dataset, &["capture", "take"], "tracker -q poses take --colmap-model capture/truth_colmap"),
+        Victim::new(Made::Dataset, &["take"], "dataset -q build take --balance --frames 24 --scale 2 --out dataset"),
         // One that is there is replaced, and there is a whole one at each moment.
         Victim::new(
             Made::Dataset,
@@ -211,7 +211,9 @@ pub(crate) fn of_avatars() -> Vec<Victim> {
     let fit = |line: &str| Victim::new(Made::Run, &["dataset"], line).going_on("new/settings.toml", "--resume", FIT);
     let made_of_it = |line: &str| Victim::new(Made::Run, &["run", "dataset", "driver"], line);
     vec![
-        fit("trainer -q fit dataset --out new --steps 60 --checkpoint-every 30 --set finest_level=64 --set expression_vertices=16"),
+        fit(
+            "trainer -q fit dataset --out new --steps 60 --checkpoint-every 30 --set finest_level=64 --set expression_vertices=16",
+        ),
         fit("trainer -q fit dataset --out new --field confies --preset tiny --steps 60 --checkpoint-every 30"),
         made_of_it("trainer -q render run --orbit 12 --out pictures").going_on(
             "pictures/render.json",
@@ -310,9 +312,9 @@ fn what_killed_processes_leave_does_not_add_up() {
         }
         child.kill().unwrap();
         child.wait().unwrap();
-        let left = fs::read_dir(dir.path()).unwrap().filter(|e| {
-            e.as_ref().unwrap().file_name().to_string_lossy().starts_with('.')
-        });
+        let left = fs::read_dir(dir.path())
+            .unwrap()
+            .filter(|e| e.as_ref().unwrap().file_name().to_string_lossy().starts_with('.'));
         most = most.max(left.count());
     }
     assert!(most <= 1, "{most} leftovers of five killed runs");

@@ -30,8 +30,16 @@ fn a_colmap_that_is_missing_crashes_hangs_or_finds_nothing() {
         ("missing", "/nowhere/colmap".to_owned(), "/nowhere/colmap"),
         ("no program", no_program.to_str().unwrap().to_owned(), "not an executable"),
         ("help crashes", fake(&scratch.path().join_made("a"), "help", "kill -SEGV $$"), "COLMAP"),
-        ("features crash", fake(&scratch.path().join_made("b"), "feature_extractor", "echo oops; kill -ABRT $$"), "oops"),
-        ("matching fails", fake(&scratch.path().join_made("c"), "matches_importer", "echo no GPU >&2; exit 3"), "no GPU"),
+        (
+            "features crash",
+            fake(&scratch.path().join_made("b"), "feature_extractor", "echo oops; kill -ABRT $$"),
+            "oops",
+        ),
+        (
+            "matching fails",
+            fake(&scratch.path().join_made("c"), "matches_importer", "echo no GPU >&2; exit 3"),
+            "no GPU",
+        ),
         ("mapper hangs", fake(&scratch.path().join_made("d"), "mapper", "sleep 600"), "2 s"),
         ("no model", fake(&scratch.path().join_made("e"), "mapper", "true"), "no camera poses"),
         (

@@ -116,8 +116,10 @@ fn a_thousand_requests_leave_it_as_it_was() {
         return;
     };
     let now = viewer.memory_kib().unwrap();
-    eprintln!("| viewer | {asked} requests in {:.0} s | {warm} KiB, then {now} KiB, at most {most} KiB | |",
-        begun.elapsed().as_secs_f64());
+    eprintln!(
+        "| viewer | {asked} requests in {:.0} s | {warm} KiB, then {now} KiB, at most {most} KiB | |",
+        begun.elapsed().as_secs_f64()
+    );
     assert!(now < warm + GROWTH_KIB, "{warm} KiB after {WARM} requests, {now} KiB after {asked}");
 }
 
@@ -169,7 +171,8 @@ fn clients_that_stall_or_go_away_hold_nobody_up() {
 #[cfg(target_os = "linux")]
 fn it_listens_to_this_machine_only() {
     let viewer = Viewer::start();
-    let sockets = fs::read_to_string("/proc/net/tcp").unwrap() + &fs::read_to_string("/proc/net/tcp6").unwrap_or_default();
+    let sockets =
+        fs::read_to_string("/proc/net/tcp").unwrap() + &fs::read_to_string("/proc/net/tcp6").unwrap_or_default();
     let port = format!(":{:04X}", viewer.port);
     // Local address and state; 0A listens.
     let listening: Vec<&str> = sockets

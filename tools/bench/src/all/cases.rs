@@ -90,15 +90,7 @@ impl<'a> Bench<'a> {
             }
         }
         let sizes = if cli.quick { QUICK } else { WHOLE };
-        Ok(Self {
-            rows: Vec::new(),
-            cli,
-            work,
-            unit_cpu_secs,
-            fit_floor: floor.fit_samples_per_sec(),
-            sizes,
-            console,
-        })
+        Ok(Self { rows: Vec::new(), cli, work, unit_cpu_secs, fit_floor: floor.fit_samples_per_sec(), sizes, console })
     }
 
     pub(crate) fn run_all(&mut self) -> Result<(), Failure> {
@@ -158,7 +150,8 @@ impl<'a> Bench<'a> {
         let capture = self.made(&format!("capture-{name}"));
         let out = text(&capture);
         let frames_text = frames.to_string();
-        let args = ["--out", &out, "--frames", &frames_text, "--fps", "30", "--size", self.sizes.size, "--noise", "off"];
+        let args =
+            ["--out", &out, "--frames", &frames_text, "--fps", "30", "--size", self.sizes.size, "--noise", "off"];
         self.console.say(&format!("a capture of {frames} frames"));
         child::run("synth", &args, self.work)?;
         self.take(name, capture, Some(frames))
@@ -312,12 +305,7 @@ impl<'a> Bench<'a> {
             self.fit(&format!("fit/aus-{count}"), &dataset, &length, views, &[("AUs", count as f64)])?;
         }
         // The middle of all these lines.
-        let grows = [
-            ("pixels", pixels / 4.0),
-            ("frames", f64::from(many)),
-            ("samples a step", 64_000.0),
-            ("AUs", all),
-        ];
+        let grows = [("pixels", pixels / 4.0), ("frames", f64::from(many)), ("samples a step", 64_000.0), ("AUs", all)];
         self.fit("fit/middle", dataset, &length, views, &grows)?;
         let small = text(&self.made(&format!("dataset-{many}-4")));
         for steps in self.sizes.confies {
