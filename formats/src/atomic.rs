@@ -113,7 +113,6 @@ impl AtomicDir {
     }
 
     /// The folder to fill.
-    #[expect(clippy::misnamed_getters, reason = "until it is committed, the folder is the staging folder")]
     pub fn path(&self) -> &Path {
         self.staging.path()
     }
