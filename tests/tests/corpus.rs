@@ -134,17 +134,20 @@ fn an_installation_that_lacks_something_is_told_from_a_bad_take() {
     let lab = Lab::new(&["1"]);
     let take = lab.take("1");
     std::fs::create_dir(lab.at("empty")).unwrap();
-    let status = |program: &str, args: &[&str]| {
+    let lacks = |program: &str, args: &[&str]| {
         let mut command = Command::new(binary(program));
-        command.args(args).env("PATH", lab.at("empty")).env("RISORIUS_MODELS", lab.at("empty")).arg("-q");
-        command.output().unwrap().status.code()
+        command.args(args).env("PATH", lab.at("empty")).env("RISORIUS_MODELS", lab.at("empty")).args(["-q", "--json"]);
+        let output = command.output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
+        let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        document["error"]["of_installation"] == true
     };
     let nothing = lab.at("nothing");
     std::fs::create_dir(&nothing).unwrap();
-    assert_eq!(status("tracker", &["poses", text(&take), "--method", "colmap"]), Some(2));
-    assert_eq!(status("tracker", &["run", text(&take)]), Some(2));
-    assert_eq!(status("tracker", &["run", text(&take), "--models", text(&nothing)]), Some(1), "a path that was named");
-    assert_eq!(status("tracker", &["run", text(&nothing)]), Some(1), "a bad take");
+    assert!(lacks("tracker", &["poses", text(&take), "--method", "colmap"]));
+    assert!(lacks("tracker", &["run", text(&take)]));
+    assert!(!lacks("tracker", &["run", text(&take), "--models", text(&nothing)]), "a path that was named");
+    assert!(!lacks("tracker", &["run", text(&nothing)]), "a bad take");
     // Neither took anything away.
     assert!(take.join("track/openface.csv").is_file() && take.join("poses/report.json").is_file());
 }

@@ -90,7 +90,8 @@ class Work:
         hint = error.get("hint") or ""
         free = shutil.disk_usage(".").free
         bug = "this is a bug in" in message
-        if status == 2 and not bug or "no space left" in message or free < FREE_BYTES:
+        lacks = error.get("of_installation", False) or (status == 2 and not bug)
+        if lacks or "no space left" in message or free < FREE_BYTES:
             if free < FREE_BYTES:
                 message, hint = f"the disk is full: {message}", "free some disk space and run the same command again"
             write_json(STOP, {"stage": self.stage, "take": name(self.capture), "error": message, "hint": hint})

@@ -7,7 +7,7 @@ use serde_json::json;
 
 /// Exit status for input that cannot be processed.
 const INPUT: u8 = 1;
-/// Exit status for wrong usage, for bugs and for what the installation lacks.
+/// Exit status for wrong usage and for bugs.
 const USAGE: u8 = 2;
 
 /// Why a command failed: a message, a hint and an exit status.
@@ -18,11 +18,12 @@ pub struct Failure {
     message: String,
     hint: Option<String>,
     status: u8,
+    of_installation: bool,
 }
 
 impl Failure {
     fn new(message: impl Into<String>, status: u8) -> Self {
-        Self { message: message.into(), hint: None, status }
+        Self { message: message.into(), hint: None, status, of_installation: false }
     }
 
     /// The input cannot be processed: exit status 1.
@@ -40,11 +41,11 @@ impl Failure {
         Self::new(message, USAGE)
     }
 
-    /// Not the input is at fault but what the program needs beside it, such as a missing network: exit status 2, for
-    /// every other input would fail in the same way.
+    /// Not the input is at fault but what the program needs beside it, such as a missing network: every other input would
+    /// fail in the same way. The document of `--json` says so, for what runs many inputs.
     #[must_use]
     pub fn of_installation(self) -> Self {
-        Self { status: USAGE, ..self }
+        Self { of_installation: true, ..self }
     }
 
     /// The user stopped the work; `left` says what there is now, such as `nothing was written`. Exit status 1.
@@ -76,7 +77,12 @@ impl Failure {
 
     /// The document that stands on stdout in place of the result.
     pub(crate) fn to_json(&self) -> serde_json::Value {
-        json!({ "error": { "message": self.message, "hint": self.hint, "exit_status": self.status } })
+        let Self { message, hint, status, of_installation } = self;
+        let mut error = json!({ "message": message, "hint": hint, "exit_status": status });
+        if *of_installation {
+            error["of_installation"] = true.into();
+        }
+        json!({ "error": error })
     }
 }
 
@@ -92,7 +98,7 @@ impl<E: Error + Hint + Send + Sync + 'static> From<E> for Failure {
             }
             source = cause.source();
         }
-        Self { message, hint: error.hint().map(std::borrow::Cow::into_owned), status: INPUT }
+        Self { message, hint: error.hint().map(std::borrow::Cow::into_owned), status: INPUT, of_installation: false }
     }
 }
 

@@ -1,8 +1,7 @@
 //! What the four binaries share at the command line: printing, progress, warnings, errors and exit codes.
 //!
 //! * stdout carries data, stderr carries talk; with `--json` stdout is exactly one JSON document;
-//! * exit 0: done; 1: the input cannot be processed, or the user stopped the work; 2: wrong usage, a bug, or an
-//!   installation that lacks something: no other input would fare better;
+//! * exit 0: done; 1: the input cannot be processed, or the user stopped the work; 2: wrong usage, or a bug;
 //! * a result is made by one process at a time, and knows what it was made of ([`Stage`]);
 //! * an error is `error: …`, a blank line, `hint: …`;
 //! * the first Ctrl-C asks the libraries to leave whole files and return, the second one ends the process.
