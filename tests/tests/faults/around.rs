@@ -87,7 +87,9 @@ fn the_same_command_twice_at_once() {
     world(Made::Run);
     let mut refused = 0;
     let mut tried = 0;
-    for victim in of_datasets().iter().chain(&of_avatars()) {
+    // The short round takes every other command, and a full disk the others.
+    let step = if rounds() > 1 { 1 } else { 2 };
+    for victim in of_datasets().iter().chain(&of_avatars()).skip(step - 1).step_by(step) {
         let calm = copy_of(Made::Run, victim.given);
         succeed(calm.path(), &victim.line);
         let expected = files(calm.path());

@@ -12,7 +12,7 @@ use crate::world::{
 };
 
 /// Kills before a run is let go to its end.
-const KILLS: u32 = 4;
+const KILLS: u32 = 3;
 
 /// A command that meets a fault.
 pub(crate) struct Victim {

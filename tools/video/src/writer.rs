@@ -137,7 +137,7 @@ fn no_room(staging: &Staging, path: &Path) -> Option<VideoError> {
     use std::io::Write as _;
     let probe = || -> std::io::Result<()> {
         let mut file = File::options().append(true).open(staging.path())?;
-        file.write_all(&[0; 1 << 18])?;
+        file.write_all(&vec![0; 1 << 18])?;
         file.sync_all()
     };
     probe().err().map(|e| FormatError::io(path, "write", &e).into())
