@@ -72,7 +72,10 @@ impl<'a> Viewer<'a> {
         let (sender, whole) = mpsc::channel();
         let stopped = AtomicBool::new(false);
         std::thread::scope(|scope| {
-            let listener = scope.spawn(|| listen(&server, &door, sender, &stopped));
+            let listener = scope.spawn({
+                let (server, door, stopped) = (&server, &door, &stopped);
+                move || listen(server, door, &sender, stopped)
+            });
             while !reporter.cancelled() {
                 match whole.recv_timeout(PATIENCE) {
                     Ok(received) => site.answer(received, reporter),
@@ -94,7 +97,7 @@ impl<'a> Viewer<'a> {
 fn listen(
     server: &tiny_http::Server,
     door: &http::Door,
-    whole: mpsc::Sender<http::Received>,
+    whole: &mpsc::Sender<http::Received>,
     stopped: &AtomicBool,
 ) -> Result<()> {
     while !stopped.load(Ordering::Relaxed) {
