@@ -24,6 +24,9 @@ fn check_decent(line: &str, output: &Output) {
     }
 }
 
+/// A command, what it is given, which file something happens to, what, and how many milliseconds it runs before, at most.
+type Harm<'a> = (&'static str, &'static [&'static str], &'static str, &'a dyn Fn(&Path), u64);
+
 #[test]
 fn files_that_change_or_vanish_while_they_are_read() {
     world(Made::Run);
@@ -31,8 +34,6 @@ fn files_that_change_or_vanish_while_they_are_read() {
     let tracks = models().is_some();
     let cut = |path: &Path| fs::File::options().write(true).open(path).and_then(|f| f.set_len(1500)).unwrap();
     let remove = |path: &Path| fs::remove_file(path).unwrap();
-    // The command, what happens to which file, and how long it runs before, at most.
-    type Harm<'a> = (&'static str, &'static [&'static str], &'static str, &'a dyn Fn(&Path), u64);
     let fit = "trainer -q fit dataset --out new --steps 30 --set finest_level=64 --set expression_vertices=16";
     let harms: [Harm<'_>; 7] = [
         ("tracker -q run take --threads 1", &["take"], "take/video.mp4", &cut, 600),
@@ -87,7 +88,9 @@ fn the_same_command_twice_at_once() {
     world(Made::Run);
     let mut refused = 0;
     let mut tried = 0;
-    for victim in of_datasets().iter().chain(&of_avatars()) {
+    // The short round takes every other command, and a full disk the others.
+    let step = if rounds() > 1 { 1 } else { 2 };
+    for victim in of_datasets().iter().chain(&of_avatars()).skip(step - 1).step_by(step) {
         let calm = copy_of(Made::Run, victim.given);
         succeed(calm.path(), &victim.line);
         let expected = files(calm.path());

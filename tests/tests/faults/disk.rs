@@ -67,7 +67,9 @@ fn a_full_disk_is_told_and_what_was_there_stays() {
     let world = world(Made::Run);
     let Some(disk) = Disk::new() else { return };
     let mut tried = 0;
-    for victim in of_datasets().iter().chain(&of_avatars()) {
+    // The short round takes every other command, and two at once the others.
+    let step = if rounds() > 1 { 1 } else { 2 };
+    for victim in of_datasets().iter().chain(&of_avatars()).step_by(step) {
         fill(&disk, &world, victim);
         let before = disk.used_kib();
         succeed(disk.path(), &victim.line);

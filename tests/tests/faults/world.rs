@@ -158,9 +158,8 @@ fn name_in(dir: &Path, path: &Path) -> String {
 fn lasting(path: &Path, bytes: Vec<u8>) -> Vec<u8> {
     let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
     match ending {
-        "mp4" => vec![u8::from(!bytes.is_empty())],
-        // Parameters have new identities in each process.
-        "bpk" => vec![u8::from(!bytes.is_empty())],
+        // In a `.bpk`, parameters have new identities in each process.
+        "mp4" | "bpk" => vec![u8::from(!bytes.is_empty())],
         "log" => Vec::new(),
         "json" | "jsonl" => {
             let text = String::from_utf8_lossy(&bytes);

@@ -82,7 +82,10 @@ impl<'a> Viewer<'a> {
         let (sender, whole) = mpsc::channel();
         let stopped = AtomicBool::new(false);
         std::thread::scope(|scope| {
-            let listener = scope.spawn(|| listen(&server, &door, sender, &stopped));
+            let listener = scope.spawn({
+                let (server, door, stopped) = (&server, &door, &stopped);
+                move || listen(server, door, &sender, stopped)
+            });
             while !reporter.cancelled() {
                 match whole.recv_timeout(PATIENCE) {
                     Ok(received) => site.answer(received, reporter),
@@ -104,7 +107,7 @@ impl<'a> Viewer<'a> {
 fn listen(
     server: &tiny_http::Server,
     door: &http::Door,
-    whole: mpsc::Sender<http::Received>,
+    whole: &mpsc::Sender<http::Received>,
     stopped: &AtomicBool,
 ) -> Result<()> {
     while !stopped.load(Ordering::Relaxed) {

@@ -151,12 +151,10 @@ fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
         compare::write(&report, path)?;
     }
     let verdict = baseline.map(|baseline| compare::compare(&report, &baseline, cli.slack));
-    let mut words = report::table(&report);
-    if let Some(verdict) = &verdict {
-        words += &format!("\n\n{}", verdict.words());
-    }
-    words += &format!("\n\nlook at {}", work.join("report.html").display());
-    console.finish(&report, &words);
+    let mut words = vec![report::table(&report)];
+    words.extend(verdict.as_ref().map(compare::Verdict::words));
+    words.push(format!("look at {}", work.join("report.html").display()));
+    console.finish(&report, &words.join("\n\n"));
     match verdict {
         Some(verdict) if !verdict.dearer.is_empty() => {
             Err(Failure::input(format!("{} commands cost more than in the baseline", verdict.dearer.len()))

@@ -48,21 +48,12 @@ pub(crate) fn errors(report: &Report) -> Vec<Panel> {
         if stage == "fit" && line != "steps" {
             continue;
         }
-        let panel = match panels.iter_mut().position(|p| p.title == title) {
-            Some(at) => &mut panels[at],
-            None => {
-                panels.push(Panel {
-                    title,
-                    x: "CPU seconds".to_owned(),
-                    y: what.clone(),
-                    log_y: false,
-                    lines: Vec::new(),
-                });
-                let last = panels.len() - 1;
-                &mut panels[last]
-            }
-        };
-        add(panel, &line, (row.cpu_secs, *error));
+        let at = panels.iter().position(|p| p.title == title).unwrap_or_else(|| {
+            let x = "CPU seconds".to_owned();
+            panels.push(Panel { title, x, y: what.clone(), log_y: false, lines: Vec::new() });
+            panels.len() - 1
+        });
+        add(&mut panels[at], &line, (row.cpu_secs, *error));
     }
     panels
 }

@@ -110,11 +110,10 @@ fn page(report: &Report, plots: &[(&str, &String)]) -> String {
     for (title, svg) in plots {
         let _ = writeln!(text, "<h2>{title}</h2>\n{svg}");
     }
-    let head: String = HEAD.iter().map(|h| format!("<th>{h}</th>")).collect();
-    let _ = writeln!(text, "<h2>All commands</h2>\n<table><tr>{head}</tr>");
+    let _ = writeln!(text, "<h2>All commands</h2>\n<table><tr><th>{}</th></tr>", HEAD.join("</th><th>"));
     for row in &report.rows {
-        let cells: String = cells(row).iter().map(|c| format!("<td>{}</td>", escaped(c))).collect();
-        let _ = writeln!(text, "<tr title=\"{}\">{cells}</tr>", escaped(&row.command));
+        let cells = cells(row).map(|c| escaped(&c)).join("</td><td>");
+        let _ = writeln!(text, "<tr title=\"{}\"><td>{cells}</td></tr>", escaped(&row.command));
     }
     text.push_str("</table>\n<p>Point at a row to see its command line.</p>\n</html>\n");
     text
