@@ -139,7 +139,7 @@ fn an_installation_that_lacks_something_is_told_from_a_bad_take() {
         command.args(args).env("PATH", lab.at("empty")).env("RISORIUS_MODELS", lab.at("empty")).args(["-q", "--json"]);
         let output = command.output().unwrap();
         assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
-        let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let document: Value = serde_json::from_slice(&output.stdout).unwrap();
         document["error"]["of_installation"] == true
     };
     let nothing = lab.at("nothing");

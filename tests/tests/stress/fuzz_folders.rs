@@ -94,7 +94,8 @@ fn takes_with_a_mutated_file() {
             let _ = safely(&what, 64 << 20, || {
                 let opened = Take::open(&take)?;
                 assert!(opened.fps().is_finite(), "{what}: {} frames per second", opened.fps());
-                let all = risorius_tracker::poses::keyframes::choose(&opened.frames, 5);
+                let all =
+                    risorius_tracker::poses::keyframes::choose(&opened.frames, &risorius_formats::Track::default(), 5);
                 assert!(all.len() <= opened.frames.len());
                 Ok::<_, risorius_formats::FormatError>(())
             });

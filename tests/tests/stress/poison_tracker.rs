@@ -138,7 +138,7 @@ fn cameras_between_and_around_stay_rigid() {
         });
         for count in [0, 1, 2, 3, 40, 59, 60, usize::MAX] {
             ledger.one("keyframes::choose", &format!("{name}, {count}"), || {
-                let chosen = keyframes::choose(&frames(&times), count);
+                let chosen = keyframes::choose(&frames(&times), &Track::default(), count);
                 let _ = keyframes::default_count(&frames(&times));
                 check(chosen.windows(2).all(|w| w[0] < w[1]), || format!("{chosen:?}"))
             });

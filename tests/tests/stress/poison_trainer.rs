@@ -164,19 +164,21 @@ fn tensors_keep_poison_in_its_own_row_or_lose_it_to_a_bound() {
         let sound = z.is_finite() && z.abs() < 1e30 && (0.0..=1.0).contains(&y);
         if sound { finite_32(out.iter().copied()).and(check(out[0] >= 0.0, || format!("{out:?}"))) } else { Ok(()) }
     });
+    let counts = |attributes| loss::Counts { rays: 1.0, masks: 0.0, attributes };
     ledger.poke_32("loss::attribute", [0.5, -0.5, 1.0], |[alpha, truth, beta]| {
         let out = host(loss::attribute(
             tensor(&[alpha], [1, 1]),
             tensor(&[truth], [1, 1]),
             tensor(&[beta], [1, 1]),
             tensor(&[1.0], [1, 1]),
+            counts(1.0),
         ));
         let sound = [alpha, truth, beta].iter().all(|v| v.is_finite() && v.abs() < 1e15);
         if sound { finite_32(out) } else { Ok(()) }
     });
     ledger.one("loss::attribute", "nothing given", || {
         let t = |v: f32| tensor(&[v], [1, 1]);
-        check(host(loss::attribute(t(0.5), t(0.0), t(1.0), t(0.0))) == [0.0], || "not 0".into())
+        check(host(loss::attribute(t(0.5), t(0.0), t(1.0), t(0.0), counts(0.0))) == [0.0], || "not 0".into())
     });
     ledger.close("tensors");
 }

@@ -20,7 +20,6 @@ use super::flags::{Flags, Version};
 use super::join::join;
 use super::model::{self, Found};
 use super::picture::Picture;
-use super::variety::Variety;
 use super::work::{self, Work};
 use super::{keyframes, mask};
 use crate::error::{Result, TrackerError};
@@ -253,7 +252,7 @@ pub struct Keys {
 /// Chooses and reads the key frames.
 pub fn read_keys(take: &Take, track: &Track, options: &ColmapOptions, reporter: &dyn Reporter) -> Result<Keys> {
     let count = options.keyframes.unwrap_or_else(|| keyframes::default_count(&take.frames));
-    let keys = keyframes::choose(&take.frames, &Variety::of(&take.frames, track), count);
+    let keys = keyframes::choose(&take.frames, track, count);
     if keys.len() < FEWEST_KEYS {
         return Err(TrackerError::FewFrames { frames: keys.len() });
     }

@@ -1,6 +1,6 @@
 //! Which frames are worth placing by themselves: spread over time, parallax and expressions, and sharp.
 
-use risorius_formats::FrameRecord;
+use risorius_formats::{FrameRecord, Track};
 
 use super::variety::Variety;
 
@@ -26,12 +26,16 @@ fn duration_secs(frames: &[FrameRecord]) -> f64 {
 
 /// `count` key frames in ascending order, fewer where the take is short.
 ///
-/// They are spread evenly over the [`Variety::way`]: half by time, half by the parallax of the camera about the head. The
+/// They are spread evenly, half by time, half by the parallax of the camera about the head. The
 /// first and the last frame are among them, since nothing is extrapolated. Of the frames in the middle half of their slot
 /// the sharpest are looked at: the one whose expression is farthest from those of the key frames so far is taken, and
 /// where expressions say nothing the sharpest, or of equally sharp ones the nearest to the middle of the slot. Repeated
 /// frames are passed over.
-pub(crate) fn choose(frames: &[FrameRecord], variety: &Variety, count: usize) -> Vec<u32> {
+pub fn choose(frames: &[FrameRecord], track: &Track, count: usize) -> Vec<u32> {
+    choose_by(frames, &Variety::of(frames, track), count)
+}
+
+fn choose_by(frames: &[FrameRecord], variety: &Variety, count: usize) -> Vec<u32> {
     let Some(last) = frames.len().checked_sub(1) else { return Vec::new() };
     if count >= frames.len() {
         return (0..frames.len() as u32).collect();
@@ -90,12 +94,12 @@ const ALL: usize = 16;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use risorius_formats::{FrameIndex, Track};
+    use risorius_formats::FrameIndex;
 
     use super::super::variety::tests::seen;
 
     fn choose_by_time(frames: &[FrameRecord], count: usize) -> Vec<u32> {
-        choose(frames, &Variety::of(frames, &Track::default()), count)
+        choose(frames, &Track::default(), count)
     }
 
     fn frames(n: u32, sharpness: impl Fn(u32) -> f32) -> Vec<FrameRecord> {
@@ -137,7 +141,7 @@ mod tests {
     #[test]
     fn key_frames_stand_denser_where_the_camera_moves() {
         let (frames, track) = seen(1001, |i| if i < 500 { 0.0 } else { f64::from(i - 500) / 500.0 }, |_| 0.0);
-        let chosen = choose(&frames, &Variety::of(&frames, &track), 41);
+        let chosen = choose(&frames, &track, 41);
         let resting = chosen.iter().filter(|&&f| f < 500).count();
         assert!((9..=12).contains(&resting) && chosen.len() == 41, "{resting} of {}", chosen.len());
     }
@@ -147,14 +151,14 @@ mod tests {
         let smile = |i: u32| if (205..215).contains(&i) || (405..415).contains(&i) { 4.0 } else { 0.0 };
         let (mut frames, track) = seen(1001, |_| 0.0, smile);
         let variety = Variety::of(&frames, &track);
-        let chosen = choose(&frames, &variety, 11);
+        let chosen = choose_by(&frames, &variety, 11);
         // The first smile is news; the second one no more.
         assert!(chosen.iter().any(|f| (205..215).contains(f)) && chosen.contains(&400), "{chosen:?}");
         // A blurred smile is not worth it.
         for frame in &mut frames[205..215] {
             frame.sharpness = Some(0.5);
         }
-        assert!(choose(&frames, &variety, 11).contains(&200));
+        assert!(choose_by(&frames, &variety, 11).contains(&200));
     }
 
     #[test]

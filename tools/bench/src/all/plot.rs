@@ -161,7 +161,7 @@ fn lines(area: &Area<'_>, panel: &Panel) -> Drawn {
         .max_light_lines(0)
         .bold_line_style(BLACK.mix(0.12))
         .x_label_formatter(&|v| short(10f64.powf(*v)))
-        .y_label_formatter(&|v| short(if panel.log_y { 10f64.powf(*v) } else { *v }))
+        .y_label_formatter(&|v| if panel.log_y { short(10f64.powf(*v)) } else { trimmed(&format!("{v:.2}")) })
         .draw()?;
     for (line, colour) in panel.lines.iter().zip(COLOURS.iter().cycle()) {
         let points: Vec<(f64, f64)> = line.points.iter().map(place).collect();
@@ -191,8 +191,12 @@ fn short(value: f64) -> String {
 
 fn round(value: f64) -> String {
     let digits = if value >= 10.0 { 0 } else { usize::from(value < 1.0) + 1 };
-    let text = format!("{value:.digits$}");
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+    trimmed(&format!("{value:.digits$}"))
+}
+
+/// A decimal number without the zeros at its end.
+fn trimmed(text: &str) -> String {
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text.to_owned() }
 }
 
 /// Peak memory of every command as bars.
