@@ -29,6 +29,11 @@ fn commands(readme: &str) -> Vec<String> {
             continue;
         }
         let words: Vec<&str> = line.split_whitespace().collect();
+        // What is joined by a pipe is run one by one.
+        if words.contains(&"|") {
+            found.extend(words.split(|w| *w == "|").map(|part| part.join(" ")));
+            continue;
+        }
         // `a|b|c` stands for any of them.
         match words.iter().position(|w| w.contains('|') && w.len() > 1) {
             Some(at) => found.extend(words[at].split('|').map(|choice| {
@@ -58,7 +63,7 @@ fn how(line: &str, has_models: bool) -> How {
     let has = |word: &str| line.split(' ').any(|w| w == word);
     if line.starts_with("tools/") {
         How::Script
-    } else if has("--device") && line.contains("/dev/") {
+    } else if (has("--device") && line.contains("/dev/")) || line == "tracker live" {
         How::Parse("it needs a camera")
     } else if line.starts_with("tracker poses") && !has("--colmap-model") {
         How::Parse("it needs COLMAP")
@@ -67,7 +72,7 @@ fn how(line: &str, has_models: bool) -> How {
     } else if line.starts_with("trainer view") {
         How::Serve
     } else if line.starts_with("trainer fit") {
-        How::Run(line.replace("--budget 2m", "--steps 60"))
+        How::Run(line.replace("--budget 2m", "--steps 60").replace("--preset paper", "--preset tiny"))
     } else if line.starts_with("trainer eval") {
         // The tracker reads AUs from faces that it finds, of which this avatar has none yet.
         let small = line.replace(" --control", "");
@@ -133,6 +138,6 @@ fn every_command_of_the_readme_works() {
 
 #[test]
 fn commands_are_found_in_fenced_blocks() {
-    let text = "a\n```sh\ntools/demo\n\n# words\nx one --to a|b --out c   # more | words\n        # still more\n```\ny not\n```toml\nz = 1\n```\n";
-    assert_eq!(commands(text), ["tools/demo", "x one --to a --out c", "x one --to b --out c"]);
+    let text = "a\n```sh\nx here | y there\ntools/demo\n\n# words\nx one --to a|b --out c   # more | words\n        # still more\n```\ny not\n```toml\nz = 1\n```\n";
+    assert_eq!(commands(text), ["x here", "y there", "tools/demo", "x one --to a --out c", "x one --to b --out c"]);
 }
