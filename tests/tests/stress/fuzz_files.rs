@@ -75,7 +75,7 @@ fn fuzz(name: &str, seeds: &[Vec<u8>], parse: impl Fn(&[u8]) -> Answer) {
             }
             Ok(Ok(())) => taken += 1,
             Ok(Err(said)) => {
-                if said.is_empty() || said.len() > 1000 || said.chars().any(char::is_control) {
+                if said.is_empty() || said.chars().any(char::is_control) {
                     fail(&format!("the refusal is not one clean line: {said:?}"));
                 }
             }

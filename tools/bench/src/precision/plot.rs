@@ -31,7 +31,14 @@ fn panel(area: &Area<'_>, title: &str, rungs: &[Rung], value: fn(&Rung) -> f64) 
         .x_label_area_size(36)
         .y_label_area_size(56)
         .build_cartesian_2d(x.log_scale(), (EXACT * 0.5..10.0).log_scale())?;
-    chart.configure_mesh().x_desc("nanoseconds a value").light_line_style(TRANSPARENT).draw()?;
+    let power = |v: &f64| format!("{v:.0e}");
+    chart
+        .configure_mesh()
+        .x_desc("nanoseconds a value")
+        .x_label_formatter(&power)
+        .y_label_formatter(&power)
+        .light_line_style(TRANSPARENT)
+        .draw()?;
     let mut stages: Vec<&str> = rungs.iter().map(|r| r.stage).collect();
     stages.dedup();
     for (i, stage) in stages.into_iter().enumerate() {
