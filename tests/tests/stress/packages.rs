@@ -96,18 +96,13 @@ fn names_that_lead_out_are_refused() {
         let dir = wrong(|data, _| edit(&data.join("dataset.json"), |v| v["ids"][0] = bad.into()));
         refused("dataset", &["verify", text(&dir.path().join("data")), "-q"], &["cannot be a file name"]);
     }
-    // Views: the id is written, the picture read.
+    // Views: the id is written.
     let dir = tempfile::tempdir().unwrap();
     let views = dir.path().join("views.json");
     let camera =
         r#"{"width":16,"height":16,"fx":20,"fy":20,"cx":8,"cy":8,"camera_from_world":[[1,0,0,0],[0,1,0,0],[0,0,1,2]]}"#;
     let run_dir = tiny().join("brick");
-    for (id, image, words) in [
-        ("../out", "a.png", "plain file name"),
-        (".hidden", "a.png", "plain file name"),
-        ("a", "../secret.png", "leads out"),
-        ("a", "/etc/passwd", "leads out"),
-    ] {
+    for (id, image, words) in [("../out", "a.png", "plain file name"), (".hidden", "a.png", "plain file name")] {
         std::fs::write(&views, format!(r#"{{"views":[{{"id":"{id}","image":"{image}","camera":{camera}}}]}}"#))
             .unwrap();
         let out = dir.path().join("out");
