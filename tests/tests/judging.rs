@@ -388,7 +388,8 @@ fn the_page_works_in_a_browser_with_mouse_and_keys() {
 
 #[test]
 fn rows_that_come_drive_the_avatar_while_it_is_looked_at() {
-    let run_dir = made().at("run");
+    let made = made();
+    let run_dir = made.own_run();
     let mut viewer = Viewer::with_rows(&run_dir);
     let frame = format!("/{}/frame", viewer.token());
     let ask = |viewer: &Viewer, body: &str| {
@@ -410,7 +411,8 @@ fn rows_that_come_drive_the_avatar_while_it_is_looked_at() {
         std::thread::sleep(std::time::Duration::from_millis(20));
     };
     viewer.tell("secs,AU12,AU26\n0,0,0\n");
-    assert!(until(&viewer, 1).1 == rest);
+    let (_, asked) = ask(&viewer, r#"{"scale":0.5,"aus":{"AU12":0,"AU26":0}}"#);
+    assert!(until(&viewer, 1).1 == asked);
     viewer.tell("5,4,3\n");
     let (live, smile) = until(&viewer, 2);
     assert_eq!((live["aus"]["AU12"].as_f64(), live["aus"]["AU26"].as_f64()), (Some(4.0), Some(3.0)));

@@ -140,7 +140,10 @@ pub(crate) fn files(dir: &Path) -> BTreeMap<String, Vec<u8>> {
         }
         for path in entries {
             if path.is_dir() && !path.is_symlink() {
-                folders.push(path);
+                // Event files are named after the time.
+                if !path.ends_with("tensorboard") {
+                    folders.push(path);
+                }
             } else {
                 let bytes = fs::read(&path).unwrap();
                 found.insert(name_in(dir, &path), lasting(&path, bytes));

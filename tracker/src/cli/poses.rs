@@ -156,7 +156,7 @@ pub(super) fn run(args: &PosesArgs, console: &Console) -> Result<(), Failure> {
     }
     let Some(running) = stage.begin(args.again, inputs, console)? else { return Ok(()) };
     let report = poses::find(&args.take, &options, console).map_err(|e| super::failure(e, args.colmap.is_some()))?;
-    running.finish(&["sparse/cameras.txt", "sparse/images.txt", "sparse/points3D.txt", "report.json"])?;
+    running.finish(&["sparse/cameras.txt", "sparse/images.txt", "sparse/points3D.txt"])?;
     let human = format!("{}\nwritten to    {}", in_words(&report), args.take.join("poses").display());
     console.finish(&report, &human);
     Ok(())

@@ -81,7 +81,7 @@ pub(super) struct FitArgs {
 }
 
 /// What makes a finished run.
-pub(super) const OUTPUTS: [&str; 3] = ["model.safetensors", "model.json", "run.json"];
+pub(super) const OUTPUTS: [&str; 2] = ["model.safetensors", "model.json"];
 
 /// `[trainer.fit]` of `risorius.toml`.
 #[derive(Debug, Default, Deserialize)]

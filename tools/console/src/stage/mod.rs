@@ -46,6 +46,8 @@ pub struct Running {
     result: PathBuf,
     record: Record,
     unfinished: bool,
+    /// Whether it is wanted that the same work is known again.
+    again: bool,
     _lock: Option<Lock>,
 }
 
@@ -75,6 +77,7 @@ impl<'a> Stage<'a> {
         Ok(Some(Running {
             result: self.result.to_owned(),
             record,
+            again: again.if_changed,
             unfinished: before.is_some_and(|before| !before.is_finished()),
             _lock: lock,
         }))
@@ -95,6 +98,10 @@ impl Running {
     /// The work is done. `outputs` are the files in the result that its integrity is judged by; an empty name is the
     /// result itself.
     pub fn finish(mut self, outputs: &[&str]) -> Result<(), FormatError> {
+        // In a folder the record is one file of many; beside a single file it is clutter that nobody asked for.
+        if record::is_file(&self.result) && !self.again {
+            return Ok(());
+        }
         self.record.finish(&self.result, outputs);
         self.record.write(&self.result)
     }

@@ -23,8 +23,7 @@ impl Inputs {
     /// Adds a file.
     #[must_use]
     pub fn file(mut self, role: impl Into<String>, path: impl AsRef<Path>) -> Self {
-        let hash = hash::sha256_of_file(path).unwrap_or_else(|_| UNREADABLE.to_owned());
-        self.0.insert(role.into(), hash);
+        self.0.insert(role.into(), hash_of(path.as_ref()));
         self
     }
 
@@ -39,14 +38,17 @@ impl Inputs {
         list(path, "", DEPTH, &mut files);
         files.retain(|name| wanted(name));
         files.sort();
-        let of = |name: &String| {
-            let hash = hash::sha256_of_file(path.join(name)).unwrap_or_else(|_| UNREADABLE.to_owned());
-            format!("{name} {hash}\n")
-        };
+        let of = |name: &String| format!("{name} {}\n", hash_of(&path.join(name)));
         let all: String = files.iter().map(of).collect();
         self.0.insert(role.into(), hash::sha256_of_bytes(all.as_bytes()));
         self
     }
+}
+
+/// The content's hash. A pipe or a device in the place of a file may never end: only files are read.
+fn hash_of(path: &Path) -> String {
+    let file = path.is_file().then(|| hash::sha256_of_file(path).ok()).flatten();
+    file.unwrap_or_else(|| UNREADABLE.to_owned())
 }
 
 /// Files below a folder by their paths in it; hidden ones and records are left out.
@@ -150,6 +152,6 @@ fn output(result: &Path, name: &str) -> PathBuf {
 }
 
 /// Whether a result is, or is going to be, a single file.
-fn is_file(result: &Path) -> bool {
+pub(super) fn is_file(result: &Path) -> bool {
     result.is_file() || (!result.is_dir() && result.extension().is_some_and(|e| e == "mp4" || e == "glb"))
 }
