@@ -95,8 +95,9 @@ fn claim<T>(
     Err(io::ErrorKind::AlreadyExists.into())
 }
 
+/// Whether an open file or folder is the one at `path`: another process may have removed it, or put another in its place.
 #[cfg(unix)]
-fn is_at(file: &File, path: &Path) -> bool {
+pub fn is_at(file: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt as _;
     match (file.metadata(), path.symlink_metadata()) {
         (Ok(a), Ok(b)) => (a.dev(), a.ino()) == (b.dev(), b.ino()),
@@ -104,8 +105,9 @@ fn is_at(file: &File, path: &Path) -> bool {
     }
 }
 
+/// Whether there is something at `path`: elsewhere an open file cannot be removed.
 #[cfg(not(unix))]
-fn is_at(_: &File, path: &Path) -> bool {
+pub fn is_at(_: &File, path: &Path) -> bool {
     path.exists()
 }
 

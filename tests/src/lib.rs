@@ -2,6 +2,7 @@
 
 mod fixture;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -48,6 +49,29 @@ pub fn run(name: &str, args: &[&str]) -> Output {
             panic!("{} cannot be started: {e}; build it with `cargo build --release --workspace`", path.display())
         }
     }
+}
+
+/// All files below a folder, by their paths in it, with what they hold.
+///
+/// # Panics
+/// When one of them cannot be read.
+#[must_use]
+pub fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![dir.to_owned()];
+    let fail = |path: &Path, e: std::io::Error| -> ! { panic!("{} cannot be read: {e}", path.display()) };
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).unwrap_or_else(|e| fail(&folder, e)) {
+            let path = entry.unwrap_or_else(|e| fail(&folder, e)).path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let bytes = std::fs::read(&path).unwrap_or_else(|e| fail(&path, e));
+                found.insert(path.strip_prefix(dir).unwrap_or(&path).to_owned(), bytes);
+            }
+        }
+    }
+    found
 }
 
 /// A file of the development data beside the repository, or `None` with a loud word about it.

@@ -2,14 +2,13 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{self, Dataset};
 use risorius_formats::{Silent, openface};
-use risorius_tests::{binary, run, shared, succeed};
+use risorius_tests::{binary, files, run, shared, succeed};
 
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
@@ -28,22 +27,6 @@ fn take(dir: &Path, name: &str, seed: &str) -> PathBuf {
     succeed("tracker", &["import", text(&take), "--openface", text(&capture.join("openface.csv")), "-q"]);
     succeed("tracker", &["poses", text(&take), "--colmap-model", text(&capture.join("truth_colmap")), "-q"]);
     take
-}
-
-fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    let mut folders = vec![dir.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                found.insert(path.strip_prefix(dir).unwrap().to_owned(), std::fs::read(&path).unwrap());
-            }
-        }
-    }
-    found
 }
 
 #[test]

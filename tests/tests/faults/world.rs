@@ -244,9 +244,7 @@ pub(crate) fn rounds() -> u64 {
 
 /// Where the networks of `tracker run` are, or `None` with a loud word about it.
 pub(crate) fn models() -> Option<PathBuf> {
-    let cache = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from);
-    let cache = cache.or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".cache")))?;
-    let models = std::env::var_os("RISORIUS_MODELS").map_or_else(|| cache.join("risorius/models"), PathBuf::from);
+    let models = risorius_tracker::models::default_dir();
     let found = models.join("models.toml").is_file();
     if !found {
         eprintln!("SKIPPED: no networks in {}; `tools/models` fetches them", models.display());

@@ -1,11 +1,10 @@
 //! The same inputs and seed give the same bytes: over repetitions, and over thread counts where the documentation promises
 //! it. (What `dataset build` promises is tested in `datasets.rs`, the kernels' threads in `trainer/tests/kernels.rs`.)
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
-use risorius_tests::binary;
+use risorius_tests::{binary, files};
 
 use crate::support::{text, tiny};
 
@@ -15,22 +14,6 @@ fn with_threads(threads: &str, name: &str, args: &[&str]) {
     command.args(args).env("RAYON_NUM_THREADS", threads);
     let output = command.output().unwrap();
     assert!(output.status.success(), "{name} {args:?}: {}", String::from_utf8_lossy(&output.stderr));
-}
-
-fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    let mut folders = vec![dir.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                found.insert(path.strip_prefix(dir).unwrap().to_owned(), std::fs::read(&path).unwrap());
-            }
-        }
-    }
-    found
 }
 
 fn same(a: &Path, b: &Path, but: &[&str]) {

@@ -2,7 +2,9 @@
 
 use rand::Rng as _;
 use rand_chacha::ChaCha8Rng;
-use risorius_brick::{BackgroundFrame, Brick, Fitter, HeadBox, Layout, Pixel, Progress, Settings, Views, math};
+use risorius_brick::{Fitter, Pixel, Progress, Settings, Views, math};
+
+use crate::support::ball;
 
 /// A ball that changes its colour with one AU, in front of a wall.
 struct Ball;
@@ -49,23 +51,7 @@ impl Views for Ball {
 }
 
 fn fitter() -> Fitter {
-    let layout = Layout {
-        head_box: HeadBox { center: [0.0; 3], half: 0.6 },
-        background: Some(BackgroundFrame {
-            position: [0.0, 0.0, -2.0],
-            axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-            near: 2.6,
-            far: 7.0,
-            middle: [0.0; 2],
-            extent: [1.0; 2],
-        }),
-        region_of: vec![0],
-        regions: 1,
-        images: VIEWS,
-        expression_vertices: 16,
-        finest: 128,
-    };
-    let model = Brick::new(layout, 0, |p| u8::from(math::dot(p, p) < 0.2));
+    let model = ball(1, VIEWS, 0);
     let settings =
         Settings { samples: 1_500, images: 2, finest: [48, 48], refine_cameras: true, ..Settings::default() };
     Fitter::new(model, settings, Progress::default())

@@ -7,9 +7,9 @@ use image::RgbImage;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng as _;
 use risorius_brick::march::{March, crossing};
+use risorius_brick::math;
 use risorius_brick::render::Face;
 use risorius_brick::table::{Adam, Table, TableGrad};
-use risorius_brick::{BackgroundFrame, Brick, HeadBox, Layout, math};
 use risorius_formats::{Camera, Intrinsics, Isometry};
 use risorius_trainer::config::Spacing;
 use risorius_trainer::eval::{icc, ms_ssim, mse, psnr_from_mse, ssim_map};
@@ -18,7 +18,7 @@ use risorius_trainer::path::{self, Orbit};
 use risorius_trainer::schedule::Schedule;
 use risorius_trainer::{encoding, loss, sampling, se3, volume};
 
-use crate::support::{Ledger, POISON, POISON_32, Verdict, check, finite, finite_32};
+use crate::support::{Ledger, POISON, POISON_32, Verdict, ball, check, finite, finite_32};
 
 fn tensor<const D: usize>(values: &[f32], shape: [usize; D]) -> Tensor<D> {
     Tensor::from_data(TensorData::new(values.to_vec(), shape), &Device::flex())
@@ -303,30 +303,10 @@ fn marches_end_and_tables_stay_finite() {
     ledger.close("marches and tables");
 }
 
-fn model() -> Brick {
-    let layout = Layout {
-        head_box: HeadBox { center: [0.0; 3], half: 0.6 },
-        background: Some(BackgroundFrame {
-            position: [0.0, 0.0, -2.0],
-            axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-            near: 2.6,
-            far: 7.0,
-            middle: [0.0; 2],
-            extent: [1.0; 2],
-        }),
-        region_of: vec![0, 0],
-        regions: 1,
-        images: 4,
-        expression_vertices: 16,
-        finest: 128,
-    };
-    Brick::new(layout, 3, |p| u8::from(math::dot(p, p) < 0.2))
-}
-
 #[test]
 fn pictures_are_finite_wherever_they_are_taken_from() {
     let mut ledger = Ledger::default();
-    let model = model();
+    let model = ball(2, 4, 3);
     let looks = |face: &Face<'_>, origin: [f32; 3], direction: [f32; 3]| -> Verdict {
         let shown = face.render(origin, &[direction, [0.0, 0.0, 1.0]]);
         let numbers = shown.iter().flat_map(|s| s.color.into_iter().chain([s.left, s.depth]).chain(s.masks));

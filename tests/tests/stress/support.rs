@@ -3,6 +3,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
+use risorius_brick::{BackgroundFrame, Brick, HeadBox, Layout, math};
 use risorius_tests::{run, shared_fixture, succeed};
 
 /// Values that arithmetic trips over, by name.
@@ -153,4 +154,25 @@ pub(crate) fn survives(name: &str, args: &[&str]) -> Result<(bool, String), Stri
         Some(status @ (0 | 1)) if !said.contains("panicked") => Ok((status == 0, said)),
         status => Err(format!("{name} {args:?} ended with {status:?}: {said}")),
     }
+}
+
+/// An untrained avatar of a ball before a wall, whose one region is the ball's middle.
+pub(crate) fn ball(aus: usize, images: usize, seed: u64) -> Brick {
+    let layout = Layout {
+        head_box: HeadBox { center: [0.0; 3], half: 0.6 },
+        background: Some(BackgroundFrame {
+            position: [0.0, 0.0, -2.0],
+            axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            near: 2.6,
+            far: 7.0,
+            middle: [0.0; 2],
+            extent: [1.0; 2],
+        }),
+        region_of: vec![0; aus],
+        regions: 1,
+        images,
+        expression_vertices: 16,
+        finest: 128,
+    };
+    Brick::new(layout, seed, |p| u8::from(math::dot(p, p) < 0.2))
 }

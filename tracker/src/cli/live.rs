@@ -7,6 +7,7 @@ use risorius_console::{Console, Failure};
 use risorius_formats::{FormatError, Take};
 use serde::Deserialize;
 
+use super::above_zero;
 use super::run::FaceArg;
 use crate::error::TrackerError;
 use crate::run::live::{LiveOptions, LiveSource, live};
@@ -81,10 +82,6 @@ fn number(device: &str) -> Option<i32> {
 
 pub(super) fn run(args: &LiveArgs, console: &Console) -> Result<(), Failure> {
     let settings: Settings = risorius_console::settings("tracker-live")?;
-    let positive = |name: &str, value: Option<f64>| match value {
-        Some(v) if !(v.is_finite() && v > 0.0) => Err(Failure::usage(format!("`--{name}` has to be above 0, not {v}"))),
-        value => Ok(value),
-    };
     let source = if let Some(input) = &args.input {
         let video = if input.join("take.toml").is_file() { Take::open(input)?.media_path() } else { input.clone() };
         if args.every_frame { LiveSource::EveryFrame(video) } else { LiveSource::Video(video) }
@@ -92,14 +89,14 @@ pub(super) fn run(args: &LiveArgs, console: &Console) -> Result<(), Failure> {
         let device = args.device.clone().or(settings.device).unwrap_or_else(|| "0".to_owned());
         let number = number(&device)
             .ok_or_else(|| Failure::usage(format!("`{device}` is no camera: give its number, or /dev/videoN")))?;
-        let fps = positive("fps", args.fps.or(settings.fps))?.unwrap_or(30.0);
+        let fps = above_zero("fps", "frames a second", args.fps.or(settings.fps))?.unwrap_or(30.0);
         LiveSource::Camera { number, size: args.size.unwrap_or((640, 480)), fps }
     };
     let options = LiveOptions {
         models: args.models.clone().or(settings.models),
         threads: args.threads.or(settings.threads).unwrap_or(1).max(1) as usize,
         face: args.face.or(settings.face).unwrap_or(FaceArg::Largest).first(),
-        focal_px: positive("focal", args.focal.or(settings.focal))?,
+        focal_px: above_zero("focal", "pixels", args.focal.or(settings.focal))?,
         frames: args.frames,
     };
     let file = args.out.as_deref().filter(|path| *path != Path::new("-"));

@@ -54,6 +54,16 @@ pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     }
 }
 
+/// The value of an option that has to be a number above 0.
+fn above_zero(option: &str, unit: &str, value: Option<f64>) -> Result<Option<f64>, Failure> {
+    match value {
+        Some(v) if !(v.is_finite() && v > 0.0) => {
+            Err(Failure::usage(format!("`--{option}` has to be above 0 {unit}, not {v}")))
+        }
+        value => Ok(value),
+    }
+}
+
 /// Says what is wrong with a take's folder before anything is locked or made in it.
 fn need_take(take: &Path) -> Result<(), Failure> {
     if take.is_dir() { Ok(()) } else { Ok(risorius_formats::Take::open(take).map(drop)?) }

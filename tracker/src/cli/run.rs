@@ -81,10 +81,7 @@ struct Settings {
 pub(super) fn run(args: &RunArgs, console: &Console) -> Result<(), Failure> {
     let settings: Settings = risorius_console::settings("tracker-run")?;
     let defaults = RunOptions::default();
-    let focal_px = args.focal.or(settings.focal);
-    if let Some(focal) = focal_px.filter(|f| !(f.is_finite() && *f > 0.0)) {
-        return Err(Failure::usage(format!("`--focal` has to be above 0 pixels, not {focal}")));
-    }
+    let focal_px = super::above_zero("focal", "pixels", args.focal.or(settings.focal))?;
     let every = args.every.or(settings.every).unwrap_or(defaults.every);
     let threads = args.threads.or(settings.threads).map_or(defaults.threads, |n| n as usize);
     if every == 0 || threads == 0 {

@@ -1,24 +1,26 @@
-//! The commands that are measured, and the captures they are given.
+//! The commands that are measured.
 
 use std::path::{Path, PathBuf};
 
 use risorius_bench::child::{self, Run};
 use risorius_brick::floor::Floor;
 use risorius_console::{Console, Failure};
-use risorius_formats::{FormatError, atomic};
+use risorius_formats::FormatError;
+use risorius_trainer::eval::lpips::default_dir;
 use serde_json::Value;
 
+use crate::captures::World;
 use crate::score::{self, number};
 use crate::{Cli, Row, counted};
 
 /// What a capture is like, and how much is asked of it.
-struct Sizes {
+pub(crate) struct Sizes {
     /// Pictures, `WxH`.
-    size: &'static str,
+    pub(crate) size: &'static str,
     /// Frames of the shorter and the longer capture.
-    frames: [u32; 2],
+    pub(crate) frames: [u32; 2],
     /// Frames of the smaller and the larger dataset.
-    chosen: [u32; 2],
+    pub(crate) chosen: [u32; 2],
     /// Lengths of fits.
     steps: &'static [u64],
     /// Steps of the fits whose other settings are varied.
@@ -60,18 +62,11 @@ const FEWER_AUS: [usize; 2] = [4, 8];
 pub(crate) struct Bench<'a> {
     pub(crate) rows: Vec<Row>,
     cli: &'a Cli,
-    work: &'a Path,
+    pub(crate) work: &'a Path,
     unit_cpu_secs: f64,
     fit_floor: f64,
-    sizes: Sizes,
-    console: &'a Console,
-}
-
-/// A capture with its take.
-struct World {
-    capture: PathBuf,
-    take: String,
-    frames: u32,
+    pub(crate) sizes: Sizes,
+    pub(crate) console: &'a Console,
 }
 
 impl<'a> Bench<'a> {
@@ -112,12 +107,18 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    fn made(&self, name: &str) -> PathBuf {
+    pub(crate) fn made(&self, name: &str) -> PathBuf {
         self.work.join(format!("made-{name}"))
     }
 
     /// Runs a command and keeps its row if its stage is asked for.
-    fn measure(&mut self, name: &str, program: &str, args: &[&str], grows: &[(&str, f64)]) -> Result<Run, Failure> {
+    pub(crate) fn measure(
+        &mut self,
+        name: &str,
+        program: &str,
+        args: &[&str],
+        grows: &[(&str, f64)],
+    ) -> Result<Run, Failure> {
         let line = format!("{program} {}", args.join(" ")).replace(&format!("{}/", text(self.work)), "");
         self.console.say(&line);
         let run = child::run(program, args, self.work)?;
@@ -145,44 +146,11 @@ impl<'a> Bench<'a> {
         self.cli.only.as_ref().is_none_or(|word| stage.contains(word.as_str()))
     }
 
-    /// Makes a capture and its take.
-    fn world(&mut self, name: &str, frames: u32) -> Result<World, Failure> {
-        let capture = self.made(&format!("capture-{name}"));
-        let out = text(&capture);
-        let frames_text = frames.to_string();
-        let args =
-            ["--out", &out, "--frames", &frames_text, "--fps", "30", "--size", self.sizes.size, "--noise", "off"];
-        self.console.say(&format!("a capture of {frames} frames"));
-        child::run("synth", &args, self.work)?;
-        self.take(name, capture, Some(frames))
-    }
-
-    fn take(&mut self, name: &str, capture: PathBuf, frames: Option<u32>) -> Result<World, Failure> {
-        let take = text(&self.made(&format!("take-{name}")));
-        let video = text(&capture.join("video.mp4"));
-        let args = ["record", "--input", &video, "--out", &take];
-        let grows: Vec<(&str, f64)> = frames.iter().map(|&n| ("frames", f64::from(n))).collect();
-        let run = self.measure(&format!("take/{name}"), "capture", &args, &grows)?;
-        let counted = ["frame_count", "frames"].iter().find_map(|key| number(&run.document, &[key]));
-        let frames = frames.or_else(|| counted.map(|n| n as u32)).unwrap_or(0);
-        let table = text(&capture.join("openface.csv"));
-        self.measure(
-            &format!("import/{name}"),
-            "tracker",
-            &["import", &take, "--openface", &table],
-            &[("frames", f64::from(frames))],
-        )?;
-        let model = text(&capture.join("truth_colmap"));
-        let args = ["poses", &take, "--colmap-model", &model];
-        self.measure(&format!("poses/model-{name}"), "tracker", &args, &[("frames", f64::from(frames))])?;
-        Ok(World { capture, take, frames })
-    }
-
     fn track(&mut self, small: &World, world: &World) -> Result<(), Failure> {
         if !self.asked_for("track") {
             return Ok(());
         }
-        if !models().join("models.toml").is_file() {
+        if !default_dir().join("models.toml").is_file() {
             self.console.say("SKIPPED: `tracker run`, whose networks are not there; `tools/models` fetches them");
             return Ok(());
         }
@@ -317,23 +285,6 @@ impl<'a> Bench<'a> {
         Ok(last)
     }
 
-    /// A dataset of a take whose table knows fewer AUs.
-    fn with_fewer_aus(&mut self, world: &World, count: usize) -> Result<String, Failure> {
-        let take = text(&self.made(&format!("take-aus-{count}")));
-        let [video, model] = ["video.mp4", "truth_colmap"].map(|n| text(&world.capture.join(n)));
-        child::run("capture", &["record", "--input", &video, "--out", &take], self.work)?;
-        let table = self.work.join("fewer.csv");
-        let source = world.capture.join("openface.csv");
-        let all = std::fs::read_to_string(&source).map_err(|e| FormatError::io(&source, "read", &e))?;
-        atomic::write_file(&table, fewer_aus(&all, count).as_bytes())?;
-        child::run("tracker", &["import", &take, "--openface", &text(&table)], self.work)?;
-        child::run("tracker", &["poses", &take, "--colmap-model", &model], self.work)?;
-        let out = text(&self.made(&format!("dataset-aus-{count}")));
-        let frames = self.sizes.chosen[1].to_string();
-        child::run("dataset", &["build", &take, "--frames", &frames, "--scale", "2", "--out", &out], self.work)?;
-        Ok(out)
-    }
-
     fn renders(&mut self, run: &str, views: &str) -> Result<(), Failure> {
         if !self.asked_for("render") {
             return Ok(());
@@ -391,23 +342,6 @@ fn again<'a>(args: &[&'a str]) -> Vec<&'a str> {
     [args, force].concat()
 }
 
-/// The table with its first `count` AUs only.
-fn fewer_aus(table: &str, count: usize) -> String {
-    let header: Vec<&str> = table.lines().next().unwrap_or_default().split(',').collect();
-    let intensities: Vec<&str> =
-        header.iter().map(|c| c.trim()).filter(|c| c.starts_with("AU") && c.ends_with("_r")).collect();
-    // Evenly over them, so that every region keeps some.
-    let kept: Vec<&str> =
-        (0..count).filter_map(|i| Some(&intensities.get(i * intensities.len() / count)?[..4])).collect();
-    let keeps = |name: &str| !name.starts_with("AU") || kept.iter().any(|au| name.starts_with(au));
-    let columns: Vec<usize> = (0..header.len()).filter(|&i| keeps(header[i].trim())).collect();
-    let line = |line: &str| {
-        let cells: Vec<&str> = line.split(',').collect();
-        columns.iter().filter_map(|&i| cells.get(i).copied()).collect::<Vec<_>>().join(",") + "\n"
-    };
-    table.lines().map(line).collect()
-}
-
 /// A number somewhere in a document whose name holds `word`.
 fn find(document: &Value, word: &str) -> Option<f64> {
     let map = document.as_object()?;
@@ -421,27 +355,13 @@ fn pixels(size: &str) -> f64 {
     size.split('x').filter_map(|n| n.parse::<f64>().ok()).product()
 }
 
-/// Where the networks of `tracker run` are looked for.
-fn models() -> PathBuf {
-    let set = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
-    let cache = || set("XDG_CACHE_HOME").or_else(|| set("HOME").map(|home| home.join(".cache")));
-    set("RISORIUS_MODELS").unwrap_or_else(|| cache().unwrap_or_default().join("risorius/models"))
-}
-
-fn text(path: &Path) -> String {
+pub(crate) fn text(path: &Path) -> String {
     path.to_string_lossy().into_owned()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn fewer_aus_leave_all_other_columns() {
-        let table = "frame, AU01_r, AU02_r, AU04_r, AU12_r, AU01_c, AU04_c, AU45_c\n1, 0.1, 0.2, 0.4, 1.2, 1, 0, 1\n";
-        assert_eq!(fewer_aus(table, 2), "frame, AU01_r, AU04_r, AU01_c, AU04_c\n1, 0.1, 0.4, 1, 0\n");
-        assert_eq!(fewer_aus(table, 4).lines().count(), 2);
-    }
 
     #[test]
     fn numbers_are_found_by_a_part_of_their_name() {

@@ -10,6 +10,7 @@
 //! run, and, with `--instructions`, instructions as valgrind counts them.
 
 mod calibrate;
+mod captures;
 mod cases;
 mod compare;
 mod counted;

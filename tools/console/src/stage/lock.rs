@@ -12,6 +12,7 @@ use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread::JoinHandle;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use risorius_formats::staging::is_at;
 use risorius_formats::{FormatError, Reporter, Warning};
 use serde::{Deserialize, Serialize};
 
@@ -186,20 +187,6 @@ fn heartbeat(file: File, stage: &str) -> Option<(Sender<()>, JoinHandle<()>)> {
 fn is_silent(file: &File) -> bool {
     let modified = file.metadata().and_then(|m| m.modified());
     modified.ok().and_then(|t| t.elapsed().ok()).is_some_and(|age| age > SILENCE)
-}
-
-/// Whether the open file is the one at `path`: its last owner may have removed it.
-#[cfg(unix)]
-fn is_at(file: &File, path: &Path) -> bool {
-    use std::os::unix::fs::MetadataExt as _;
-    let (Ok(open), Ok(there)) = (file.metadata(), fs::metadata(path)) else { return false };
-    (open.dev(), open.ino()) == (there.dev(), there.ino())
-}
-
-/// Elsewhere an open file cannot be removed.
-#[cfg(not(unix))]
-fn is_at(_file: &File, _path: &Path) -> bool {
-    true
 }
 
 fn is_alive(pid: u32) -> bool {
