@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::config::{BranchedSize, FitSettings, MaskKind, ModelConfig, SliceKind};
 use crate::encoding;
-use crate::kernel::MlpSpec;
+use crate::kernel::{MlpSpec, Products};
 use crate::mlp::{branched_specs, spec};
 use crate::model::hyper_width;
 
@@ -45,7 +45,7 @@ impl NetCost {
     }
 
     fn branched(count: usize, shared: usize, own: usize, size: BranchedSize, outputs: usize) -> Self {
-        let (trunk, branch) = branched_specs(shared + own, size, outputs);
+        let (trunk, branch) = branched_specs(shared + own, size, outputs, Products::default());
         let trunk = Self::grouped(count, shared, own, &trunk);
         let Some((seen, branch)) = branch else { return trunk };
         // The shared input is kept once, for both.
@@ -111,7 +111,8 @@ impl ModelCost {
         let position = encoding::width(3, c.template_bands, true);
         let component = encoding::width(c.hyper_dims, c.hyper_bands, false);
         let sheet_position = encoding::width(3, c.sheet_bands, false);
-        let sheet = |count, own| NetCost::grouped(count, sheet_position, own, &spec(c.sheet, Some(c.hyper_dims)));
+        let sheet =
+            |count, own| NetCost::grouped(count, sheet_position, own, &spec(c.sheet, Some(c.hyper_dims), c.products));
         let only = |wanted: bool, cost: NetCost| if wanted { cost } else { NetCost::default() };
         let slices = match c.kind.slices() {
             SliceKind::PerAttribute => sheet(k, 1) + sheet(1, c.latent_dims),
@@ -127,9 +128,9 @@ impl ModelCost {
         };
         let uncertainty = NetCost::branched(k, position + component, component, c.uncertainty, 1);
         let template = |size: crate::config::NetSize| {
-            let color = MlpSpec { depth: 1, width: c.color_width, skip: None, output: Some(3) };
+            let color = MlpSpec { depth: 1, width: c.color_width, skip: None, output: Some(3), products: c.products };
             let view = encoding::width(3, c.view_bands, true);
-            NetCost::of(position + hyper_width(c, k), &spec(size, Some(1 + size.width)))
+            NetCost::of(position + hyper_width(c, k), &spec(size, Some(1 + size.width), c.products))
                 + NetCost::of(size.width + view, &color)
         };
         let level = |size, mask| LevelCost {
@@ -139,10 +140,13 @@ impl ModelCost {
         };
         Self {
             latent: if c.kind.has_latent() { frames * c.latent_dims } else { 0 },
-            attribute: only(c.kind.has_attributes(), NetCost::of(c.latent_dims, &spec(c.attribute, Some(k)))),
+            attribute: only(
+                c.kind.has_attributes(),
+                NetCost::of(c.latent_dims, &spec(c.attribute, Some(k), c.products)),
+            ),
             deformation: only(
                 c.kind.has_warp(),
-                NetCost::of(encoding::width(3, c.warp_bands, true) + c.latent_dims, &spec(c.warp, Some(6))),
+                NetCost::of(encoding::width(3, c.warp_bands, true) + c.latent_dims, &spec(c.warp, Some(6), c.products)),
             ),
             slices,
             coarse: level(c.template_coarse, c.mask_coarse.unwrap_or(c.mask)),

@@ -5,7 +5,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use rand::Rng;
 
 use crate::config::{BranchedSize, NetSize, SKIP_LAYER};
-use crate::kernel::{self, MlpSpec};
+use crate::kernel::{self, MlpSpec, Products};
 
 /// How a kernel starts.
 #[derive(Clone, Copy, Debug)]
@@ -47,9 +47,9 @@ pub fn parameter<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &D
 }
 
 /// The shape of a net of `size`, with the family's skip.
-pub fn spec(size: NetSize, output: Option<usize>) -> MlpSpec {
+pub fn spec(size: NetSize, output: Option<usize>, products: Products) -> MlpSpec {
     let skip = (size.depth > SKIP_LAYER).then_some(SKIP_LAYER);
-    MlpSpec { depth: size.depth, width: size.width, skip, output }
+    MlpSpec { depth: size.depth, width: size.width, skip, output, products }
 }
 
 /// Dense layers with ReLU; the last one is linear when the spec has an output.
@@ -166,13 +166,19 @@ pub struct BranchedNets {
 }
 
 /// The shapes of trunk and branch of a net with `d_in` inputs and `outputs` outputs, with the branch's inputs.
-pub(crate) fn branched_specs(d_in: usize, size: BranchedSize, outputs: usize) -> (MlpSpec, Option<(usize, MlpSpec)>) {
+pub(crate) fn branched_specs(
+    d_in: usize,
+    size: BranchedSize,
+    outputs: usize,
+    products: Products,
+) -> (MlpSpec, Option<(usize, MlpSpec)>) {
     let BranchedSize { trunk, branch, branch_skip } = size;
     if branch == 0 {
-        return (spec(trunk, Some(outputs)), None);
+        return (spec(trunk, Some(outputs), products), None);
     }
     let seen = trunk.width + if branch_skip { d_in } else { 0 };
-    (spec(trunk, None), Some((seen, MlpSpec { depth: 1, width: branch, skip: None, output: Some(outputs) })))
+    let branch = MlpSpec { depth: 1, width: branch, skip: None, output: Some(outputs), products };
+    (spec(trunk, None, products), Some((seen, branch)))
 }
 
 impl BranchedNets {
@@ -180,12 +186,12 @@ impl BranchedNets {
     pub fn new(
         groups: usize,
         d_in: usize,
-        size: BranchedSize,
+        (size, products): (BranchedSize, Products),
         outputs: usize,
         rng: &mut impl Rng,
         device: &Device,
     ) -> Self {
-        let (trunk, branch) = branched_specs(d_in, size, outputs);
+        let (trunk, branch) = branched_specs(d_in, size, outputs, products);
         Self {
             trunk: GroupedMlp::new(groups, d_in, trunk, Init::Glorot, rng, device),
             branch: branch.map(|(seen, branch)| GroupedMlp::new(groups, seen, branch, Init::Glorot, rng, device)),

@@ -4,7 +4,9 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use burn::tensor::{Device, Distribution, FloatDType, Tensor, TensorData};
-use risorius_trainer::kernel::{MlpSpec, composite, grouped_mlp_forward, mlp_forward, positional_encoding, reference};
+use risorius_trainer::kernel::{
+    MlpSpec, Products, composite, grouped_mlp_forward, mlp_forward, positional_encoding, reference,
+};
 
 const STEP: f64 = 1e-6;
 
@@ -79,7 +81,7 @@ fn gradients_are_right() {
     device.seed(11);
 
     for (skip, output) in [(None, None), (Some(2), None), (None, Some(3)), (Some(1), Some(3))] {
-        let spec = MlpSpec { depth: 3, width: 12, skip, output };
+        let spec = MlpSpec { depth: 3, width: 12, skip, output, products: Products::F32 };
         let count = spec.parameter_count(4);
         check(&format!("mlp {spec:?}"), &device, &[[130, 4], [1, count]], (-0.6, 0.6), |inputs| {
             mlp_forward(inputs[0].clone(), inputs[1].clone().reshape([count as i32]), &spec)
@@ -99,7 +101,7 @@ fn gradients_are_right() {
     });
 
     for (rows, groups, shared, own) in [(1, 17, 36, 1), (700, 17, 36, 1), (300, 1, 3, 2), (513, 3, 5, 7)] {
-        let spec = MlpSpec { depth: 6, width: 20, skip: Some(4), output: Some(8) };
+        let spec = MlpSpec { depth: 6, width: 20, skip: Some(4), output: Some(8), products: Products::F32 };
         let shapes = [[rows, shared], [rows, groups * own], [groups, spec.parameter_count(shared + own)]];
         compare(
             &format!("{groups} networks of {shared}+{own} inputs on {rows} rows"),

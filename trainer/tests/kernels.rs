@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use risorius_trainer::kernel::{
-    EncodingSpec, MlpSpec, composite, grouped_mlp_forward, mlp_forward, positional_encoding, reference,
+    EncodingSpec, MlpSpec, Products, composite, grouped_mlp_forward, mlp_forward, positional_encoding, reference,
 };
 
 /// A run's result and the gradients of its weighted sum.
@@ -69,12 +69,12 @@ fn assert_close(name: &str, fused: &Outcome, plain: &Outcome, tolerance: f32) {
 }
 
 const SPECS: [MlpSpec; 6] = [
-    MlpSpec { depth: 1, width: 8, skip: None, output: None },
-    MlpSpec { depth: 1, width: 5, skip: None, output: Some(3) },
-    MlpSpec { depth: 3, width: 16, skip: Some(1), output: Some(2) },
-    MlpSpec { depth: 4, width: 7, skip: Some(3), output: None },
-    MlpSpec { depth: 6, width: 64, skip: Some(4), output: Some(8) },
-    MlpSpec { depth: 4, width: 33, skip: None, output: Some(64) },
+    MlpSpec { depth: 1, width: 8, skip: None, output: None, products: Products::F32 },
+    MlpSpec { depth: 1, width: 5, skip: None, output: Some(3), products: Products::F32 },
+    MlpSpec { depth: 3, width: 16, skip: Some(1), output: Some(2), products: Products::F32 },
+    MlpSpec { depth: 4, width: 7, skip: Some(3), output: None, products: Products::F32 },
+    MlpSpec { depth: 6, width: 64, skip: Some(4), output: Some(8), products: Products::F32 },
+    MlpSpec { depth: 4, width: 33, skip: None, output: Some(64), products: Products::F32 },
 ];
 
 fn mlp_outcome(run: impl Fn(Tensor<2>, Tensor<1>) -> Tensor<2>, x: &Tensor<2>, params: &Tensor<1>) -> Outcome {

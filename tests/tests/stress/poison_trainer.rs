@@ -13,7 +13,7 @@ use risorius_brick::table::{Adam, Table, TableGrad};
 use risorius_formats::{Camera, Intrinsics, Isometry};
 use risorius_trainer::config::Spacing;
 use risorius_trainer::eval::{icc, ms_ssim, mse, psnr_from_mse, ssim_map};
-use risorius_trainer::kernel::{self, MlpSpec};
+use risorius_trainer::kernel::{self, MlpSpec, Products};
 use risorius_trainer::path::{self, Orbit};
 use risorius_trainer::schedule::Schedule;
 use risorius_trainer::{encoding, loss, sampling, se3, volume};
@@ -151,7 +151,7 @@ fn tensors_keep_poison_in_its_own_row_or_lose_it_to_a_bound() {
         }
         Ok(())
     });
-    let spec = MlpSpec { depth: 2, width: 8, skip: None, output: Some(2) };
+    let spec = MlpSpec { depth: 2, width: 8, skip: None, output: Some(2), products: Products::F32 };
     let params: Vec<f32> = (0..spec.parameter_count(3)).map(|i| ((i * 37 % 19) as f32 - 9.0) * 0.05).collect();
     let pure = host(kernel::mlp_forward(tensor(&[0.1, 0.2, 0.3], [1, 3]), tensor(&params, [params.len()]), &spec));
     ledger.poke_32("kernel::mlp_forward", [0.1, -0.2, 0.3], |a| {

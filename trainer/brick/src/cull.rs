@@ -21,7 +21,7 @@ const AT_MOST: f32 = 8.0;
 /// … and at most this share of the largest one: even fog must not vanish because no cell stands out of it.
 const MOST_OF_LARGEST: f32 = 0.5;
 /// A cell that never had more than this weight in a pixel is hidden or empty.
-const SEEN: f32 = 0.01;
+pub(crate) const SEEN: f32 = 0.01;
 /// The stage from which single parts of cells are culled: surfaces are thin by then.
 const THIN: usize = 3;
 /// Steps from one look to the next, once a fit is under way.

@@ -177,37 +177,47 @@ impl Occupancy {
         assert!(self.ahead.len() > CELLS.pow(3), "one more than there are cells");
         // SAFETY: all arrays hold 16 numbers; a cell's number is below CELLS³ as positions are clamped.
         unsafe {
-            let origin = [0, 1, 2].map(|a| S::load(m.origin[a].as_ptr()));
-            let direction = [0, 1, 2].map(|a| S::load(m.direction[a].as_ptr()));
-            let inverse = [0, 1, 2].map(|a| S::load(m.inverse[a].as_ptr()));
-            let never = [0, 1, 2].map(|a| S::load(m.never[a].as_ptr()));
-            let forward = inverse.map(|i| S::lt(S::splat(0.0), i));
+            let zero = S::splat(0.0);
+            let (mut origin, mut direction, mut inverse, mut never) = ([zero; 3], [zero; 3], [zero; 3], [zero; 3]);
+            let mut forward = [S::m_from(0); 3];
+            // Loops, not closures: a closure is compiled without the instruction set, and called.
+            for a in 0..3 {
+                origin[a] = S::load(m.origin[a].as_ptr());
+                direction[a] = S::load(m.direction[a].as_ptr());
+                inverse[a] = S::load(m.inverse[a].as_ptr());
+                never[a] = S::load(m.never[a].as_ptr());
+                forward[a] = S::lt(zero, inverse[a]);
+            }
             let (first, exit) = (S::load(m.first.as_ptr()), S::load(m.exit.as_ptr()));
             let (step, per_step) = (S::load(m.step.as_ptr()), S::load(m.per_step.as_ptr()));
             let mut index = S::load(m.index.as_ptr());
             let (mut searching, mut hits) = (wanted, 0u16);
-            let (mut at, mut points) = (S::splat(0.0), [S::splat(0.0); 3]);
+            let (mut at, mut points) = (zero, [zero; 3]);
             while searching != 0 {
                 let t = S::add(first, S::mul(index, step));
                 searching &= S::m_bits(S::lt(t, exit));
-                let p = [0, 1, 2].map(|a| S::add(origin[a], S::mul(t, direction[a])));
-                let position = p.map(|v| {
-                    let q = S::mul(S::add(v, S::splat(1.0)), S::splat(PARTS as f32 * 0.5));
-                    S::i_from(S::min(S::max(q, S::splat(0.0)), S::splat((PARTS - 1) as f32)))
-                });
                 let one = S::i_splat(1);
-                let [x, y, z] = position.map(|v| S::i_right(v, one));
+                let (mut p, mut position) = ([zero; 3], [one; 3]);
+                for a in 0..3 {
+                    p[a] = S::add(origin[a], S::mul(t, direction[a]));
+                    let q = S::mul(S::add(p[a], S::splat(1.0)), S::splat(PARTS as f32 * 0.5));
+                    position[a] = S::i_from(S::min(S::max(q, zero), S::splat((PARTS - 1) as f32)));
+                }
+                let [x, y, z] =
+                    [S::i_right(position[0], one), S::i_right(position[1], one), S::i_right(position[2], one)];
                 let cell = S::i_add(
                     x,
                     S::i_add(S::i_mul(y, S::i_splat(CELLS as i32)), S::i_mul(z, S::i_splat((CELLS * CELLS) as i32))),
                 );
-                let [x, y, z] = position.map(|v| S::i_and(v, one));
+                let [x, y, z] = [S::i_and(position[0], one), S::i_and(position[1], one), S::i_and(position[2], one)];
                 let bit = S::i_add(x, S::i_add(S::i_add(y, y), S::i_mul(z, S::i_splat(4))));
                 let ahead = S::i_gather_pairs(self.ahead.as_ptr(), cell);
                 let hit = searching & S::m_bits(S::i_some(S::i_and(S::i_right(ahead, bit), one)));
                 let fresh = S::m_from(hit);
                 at = S::select(fresh, t, at);
-                points = [0, 1, 2].map(|a| S::select(fresh, p[a], points[a]));
+                for a in 0..3 {
+                    points[a] = S::select(fresh, p[a], points[a]);
+                }
                 hits |= hit;
                 let goes_on = searching & !hit;
                 let partly = S::i_some(S::i_and(ahead, S::i_splat(0xff)));

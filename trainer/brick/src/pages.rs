@@ -68,15 +68,27 @@ impl PageGrad {
         page
     }
 
-    /// The pages' numbers, and the corners as places in them.
+    /// The corners as places in the pages' numbers.
     #[inline(always)]
-    pub(crate) fn at(&mut self, corners: &Corners) -> (&mut [f32], Corners) {
+    pub(crate) fn places(&mut self, corners: &Corners) -> Corners {
+        const LAYER: u32 = LAYER_VERTICES as u32;
         let mut places = *corners;
+        let (mut block, mut page) = (u32::MAX, 0);
         for i in &mut places.index {
-            let vertex = *i as usize;
-            *i = (self.page(vertex / LAYER_VERTICES) * LAYER_VERTICES + vertex % LAYER_VERTICES) as u32;
+            // Corners lie in one or two blocks mostly.
+            if *i / LAYER != block {
+                block = *i / LAYER;
+                page = self.page(block as usize) as u32;
+            }
+            *i = page * LAYER + *i % LAYER;
         }
-        (&mut self.values, places)
+        places
+    }
+
+    /// The pages' numbers.
+    #[inline(always)]
+    pub(crate) fn values(&mut self) -> &mut [f32] {
+        &mut self.values
     }
 
     /// What was gathered for a block.
@@ -109,18 +121,16 @@ pub(crate) fn step(table: &mut Table, grads: &[&PageGrad], adam: &Adam, from_blo
         .for_each(|(share, (((values, first), second), steps))| {
             let rows =
                 values.chunks_exact_mut(PAGE).zip(first.chunks_exact_mut(PAGE)).zip(second.chunks_exact_mut(PAGE));
+            let mut told = Vec::with_capacity(grads.len());
             for (i, (((values, first), second), steps)) in rows.zip(steps).enumerate() {
                 let block = share * SHARE + i;
-                let mut told = grads.iter().filter_map(|grad| grad.of(block)).peekable();
-                if block < from_block || told.peek().is_none() {
+                told.clear();
+                told.extend(grads.iter().filter_map(|grad| grad.of(block)));
+                if block < from_block || told.is_empty() {
                     continue;
                 }
-                let mut sum = [0.0f32; PAGE];
-                for values in told {
-                    sum.iter_mut().zip(values).for_each(|(a, b)| *a += b);
-                }
                 *steps += 1;
-                Update::new(adam, *steps).all(&mut sum, first, second, values);
+                Update::new(adam, *steps).told(&told, first, second, values);
             }
         });
 }
@@ -156,7 +166,8 @@ mod tests {
                     let vertex = |rng: &mut ChaCha8Rng| rng.random_range(0..blocks * LAYER_VERTICES) as u32;
                     let c = corners(std::array::from_fn(|_| vertex(&mut rng)));
                     let value = rng.random::<f32>() - 0.5;
-                    let (values, places) = pages.at(&c);
+                    let places = pages.places(&c);
+                    let values = pages.values();
                     for (place, vertex) in places.index.into_iter().zip(c.index) {
                         values[place as usize * FEATURES + 1] += value;
                         array.values[vertex as usize * FEATURES + 1] += value;

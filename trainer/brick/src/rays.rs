@@ -7,6 +7,7 @@
 mod through;
 
 use self::through::Through;
+use crate::cull::SEEN;
 use crate::evaluate::{Deformation, DeformationGrad, Samples};
 use crate::expression::MASKS;
 use crate::field::{Field, FieldGrad, Transposed, monomials};
@@ -180,6 +181,10 @@ impl Pass {
     pub(crate) fn weigh(&self, weights: &mut [f32]) {
         for (i, &p) in self.samples.point.iter().enumerate() {
             let w = self.before[i] * self.alpha[i];
+            if w < SEEN {
+                // Decides nothing, and most samples are such: each would cost a miss of the cache.
+                continue;
+            }
             let slot = &mut weights[part_at(p)];
             if w > *slot {
                 *slot = w;

@@ -59,6 +59,15 @@ pub trait Simd: Copy + 'static {
     /// The smaller of both; `b` where `a` is no number.
     unsafe fn min(a: Self::V, b: Self::V) -> Self::V;
 
+    /// a / b
+    unsafe fn div(a: Self::V, b: Self::V) -> Self::V;
+    /// √a
+    unsafe fn sqrt(a: Self::V) -> Self::V;
+    /// Where a is not 0; a number that is none is not.
+    unsafe fn some(a: Self::V) -> Self::M;
+    /// Fetches what `p` points to into the cache; any pointer will do.
+    unsafe fn prefetch(p: *const f32);
+
     /// The next whole number upwards.
     unsafe fn ceil(a: Self::V) -> Self::V;
     /// Where a < b.
@@ -107,6 +116,16 @@ pub trait Simd: Copy + 'static {
     unsafe fn q_store(p: *mut f32, v: Self::Q);
     /// a · b + c
     unsafe fn q_fma(a: Self::Q, b: Self::Q, c: Self::Q) -> Self::Q;
+    /// a + b
+    unsafe fn q_add(a: Self::Q, b: Self::Q) -> Self::Q;
+    /// a − b
+    unsafe fn q_sub(a: Self::Q, b: Self::Q) -> Self::Q;
+    /// a · b
+    unsafe fn q_mul(a: Self::Q, b: Self::Q) -> Self::Q;
+    /// a / b
+    unsafe fn q_div(a: Self::Q, b: Self::Q) -> Self::Q;
+    /// √a
+    unsafe fn q_sqrt(a: Self::Q) -> Self::Q;
     /// Σ a · b
     unsafe fn q_dot(a: Self::Q, b: Self::Q) -> f32;
 }
@@ -250,6 +269,20 @@ impl Simd for Scalar {
         std::array::from_fn(|i| if a[i] < b[i] { a[i] } else { b[i] })
     }
     #[inline(always)]
+    unsafe fn div(a: [f32; 16], b: [f32; 16]) -> [f32; 16] {
+        std::array::from_fn(|i| a[i] / b[i])
+    }
+    #[inline(always)]
+    unsafe fn sqrt(a: [f32; 16]) -> [f32; 16] {
+        a.map(f32::sqrt)
+    }
+    #[inline(always)]
+    unsafe fn some(a: [f32; 16]) -> u16 {
+        (0..16).fold(0, |m, i| m | u16::from(a[i] != 0.0) << i)
+    }
+    #[inline(always)]
+    unsafe fn prefetch(_: *const f32) {}
+    #[inline(always)]
     unsafe fn ceil(a: [f32; 16]) -> [f32; 16] {
         a.map(f32::ceil)
     }
@@ -340,6 +373,26 @@ impl Simd for Scalar {
     #[inline(always)]
     unsafe fn q_fma(a: [f32; 4], b: [f32; 4], c: [f32; 4]) -> [f32; 4] {
         std::array::from_fn(|i| a[i] * b[i] + c[i])
+    }
+    #[inline(always)]
+    unsafe fn q_add(a: [f32; 4], b: [f32; 4]) -> [f32; 4] {
+        std::array::from_fn(|i| a[i] + b[i])
+    }
+    #[inline(always)]
+    unsafe fn q_sub(a: [f32; 4], b: [f32; 4]) -> [f32; 4] {
+        std::array::from_fn(|i| a[i] - b[i])
+    }
+    #[inline(always)]
+    unsafe fn q_mul(a: [f32; 4], b: [f32; 4]) -> [f32; 4] {
+        std::array::from_fn(|i| a[i] * b[i])
+    }
+    #[inline(always)]
+    unsafe fn q_div(a: [f32; 4], b: [f32; 4]) -> [f32; 4] {
+        std::array::from_fn(|i| a[i] / b[i])
+    }
+    #[inline(always)]
+    unsafe fn q_sqrt(a: [f32; 4]) -> [f32; 4] {
+        a.map(f32::sqrt)
     }
     #[inline(always)]
     unsafe fn q_dot(a: [f32; 4], b: [f32; 4]) -> f32 {

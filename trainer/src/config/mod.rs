@@ -8,6 +8,7 @@ mod presets;
 use risorius_formats::{ErrorKind, FormatError, Result};
 use serde::{Deserialize, Serialize};
 
+use crate::kernel::Products;
 use crate::schedule::Schedule;
 
 pub use kind::{MaskKind, ModelKind, SliceKind};
@@ -144,6 +145,9 @@ pub struct ModelConfig {
     /// The finest of 8 bands has a wavelength of 2π/128 ≈ 0.05: in scene units that span the room it would be
     /// centimetres on the face.
     pub head_radius: f64,
+    /// The numbers of the networks' matrix products; encodings, sums and rendering stay in f32.
+    #[serde(default)]
+    pub products: Products,
 }
 
 /// Weights of the loss terms (fact sheet §2.1); the terms themselves are reported unweighted.

@@ -6,6 +6,7 @@ use super::{
     AttributeSource, BranchedSize, FitSettings, LossWeights, MaskRendering, ModelConfig, ModelKind, NetSize, RayOrder,
     RestMask, Spacing,
 };
+use crate::kernel::Products;
 use crate::schedule::Schedule;
 
 const fn net(depth: usize, width: usize) -> NetSize {
@@ -80,6 +81,7 @@ impl FitSettings {
                 view_bands: 4,
                 color_width: 128,
                 head_radius: 0.0,
+                products: Products::F32,
             },
         }
     }
@@ -141,6 +143,7 @@ impl FitSettings {
                 view_bands: 2,
                 color_width: 32,
                 head_radius: 0.5,
+                products: Products::F32,
                 ..Self::paper().model
             },
             ..Self::paper()

@@ -36,10 +36,12 @@ impl AmbientSlices {
         let out = Some(config.hyper_dims);
         let init = Init::Normal(1e-5);
         let kind = config.kind.slices();
-        let per_attribute = (kind == SliceKind::PerAttribute)
-            .then(|| GroupedMlp::new(attributes, position + 1, spec(config.sheet, out), init, rng, device));
-        let rest = matches!(kind, SliceKind::PerAttribute | SliceKind::Rest)
-            .then(|| Mlp::new(position + config.latent_dims, spec(config.sheet, out), init, rng, device));
+        let per_attribute = (kind == SliceKind::PerAttribute).then(|| {
+            GroupedMlp::new(attributes, position + 1, spec(config.sheet, out, config.products), init, rng, device)
+        });
+        let rest = matches!(kind, SliceKind::PerAttribute | SliceKind::Rest).then(|| {
+            Mlp::new(position + config.latent_dims, spec(config.sheet, out, config.products), init, rng, device)
+        });
         Self { per_attribute, rest, bands: config.sheet_bands, is_code: kind == SliceKind::Code }
     }
 

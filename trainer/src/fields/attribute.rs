@@ -18,7 +18,13 @@ pub struct AttributeNet {
 impl AttributeNet {
     /// A fresh network for `attributes` outputs.
     pub fn new(config: &ModelConfig, attributes: usize, rng: &mut impl Rng, device: &Device) -> Self {
-        let net = Mlp::new(config.latent_dims, spec(config.attribute, Some(attributes)), Init::Glorot, rng, device);
+        let net = Mlp::new(
+            config.latent_dims,
+            spec(config.attribute, Some(attributes), config.products),
+            Init::Glorot,
+            rng,
+            device,
+        );
         Self { net, has_tanh: config.kind.has_tanh() }
     }
 

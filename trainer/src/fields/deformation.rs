@@ -20,7 +20,7 @@ impl DeformationField {
     /// A fresh field that moves nothing by more than about 1e-3.
     pub fn new(config: &ModelConfig, rng: &mut impl Rng, device: &Device) -> Self {
         let d_in = encoding::width(3, config.warp_bands, true) + config.latent_dims;
-        Self { net: Mlp::new(d_in, spec(config.warp, Some(6)), Init::Uniform(1e-4), rng, device) }
+        Self { net: Mlp::new(d_in, spec(config.warp, Some(6), config.products), Init::Uniform(1e-4), rng, device) }
     }
 
     /// The warped points.

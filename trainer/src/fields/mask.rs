@@ -44,7 +44,10 @@ impl MaskNets {
         };
         let nets = groups
             .iter()
-            .map(|g| BranchedNets::new(1, position + component * (g.len() + 1), size, outputs, rng, device))
+            .map(|g| {
+                let size = (size, config.products);
+                BranchedNets::new(1, position + component * (g.len() + 1), size, outputs, rng, device)
+            })
             .collect();
         Self { nets, groups, component }
     }

@@ -32,9 +32,10 @@ impl Template {
     /// A fresh template for `hyper` encoded ambient coordinates.
     pub fn new(config: &ModelConfig, size: NetSize, hyper: usize, rng: &mut impl Rng, device: &Device) -> Self {
         let d_in = encoding::width(3, config.template_bands, true) + hyper;
-        let trunk = Mlp::new(d_in, spec(size, Some(1 + size.width)), Init::GlorotHeads, rng, device);
+        let trunk = Mlp::new(d_in, spec(size, Some(1 + size.width), config.products), Init::GlorotHeads, rng, device);
         let d_in = size.width + encoding::width(3, config.view_bands, true);
-        let color = MlpSpec { depth: 1, width: config.color_width, skip: None, output: Some(3) };
+        let (width, products) = (config.color_width, config.products);
+        let color = MlpSpec { depth: 1, width, skip: None, output: Some(3), products };
         Self { trunk, color: Mlp::new(d_in, color, Init::Glorot, rng, device) }
     }
 

@@ -23,7 +23,7 @@ impl UncertaintyNets {
     pub fn new(config: &ModelConfig, attributes: usize, rng: &mut impl Rng, device: &Device) -> Self {
         let component = encoding::width(config.hyper_dims, config.hyper_bands, false);
         let d_in = encoding::width(3, config.template_bands, true) + 2 * component;
-        Self { nets: BranchedNets::new(attributes, d_in, config.uncertainty, 1, rng, device) }
+        Self { nets: BranchedNets::new(attributes, d_in, (config.uncertainty, config.products), 1, rng, device) }
     }
 
     /// β ≥ 0.03.

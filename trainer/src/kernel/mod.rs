@@ -27,7 +27,7 @@ mod wide;
 
 pub use composite::composite;
 pub use encoding::{EncodingSpec, positional_encoding};
-pub use mlp::{MlpSpec, grouped_mlp_forward, mlp_forward, mlp_forward_with_ray, per_sample};
+pub use mlp::{MlpSpec, Products, grouped_mlp_forward, mlp_forward, mlp_forward_with_ray, per_sample};
 
 use burn::backend::DispatchDevice;
 use burn::tensor::{DType, Tensor};

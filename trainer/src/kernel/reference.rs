@@ -4,10 +4,21 @@
 
 #![expect(clippy::needless_pass_by_value, reason = "the same signatures as the fused operations")]
 
-use burn::tensor::Tensor;
 use burn::tensor::activation::relu;
+use burn::tensor::{DType, Tensor};
 
-use super::{EncodingSpec, MlpSpec};
+use super::{EncodingSpec, MlpSpec, Products};
+
+/// A matrix product in the numbers that the network wants; the result in those of `a`.
+fn product<const D: usize>(a: Tensor<D>, b: Tensor<D>, spec: &MlpSpec) -> Tensor<D> {
+    match spec.products {
+        Products::F32 => a.matmul(b),
+        Products::Bf16 => {
+            let own = a.dtype();
+            a.cast(DType::BF16).matmul(b.cast(DType::BF16)).cast(own)
+        }
+    }
+}
 
 /// Twin of [`mlp_forward`](super::mlp_forward).
 pub fn mlp(x: Tensor<2>, params: Tensor<1>, spec: &MlpSpec) -> Tensor<2> {
@@ -21,7 +32,7 @@ pub fn mlp(x: Tensor<2>, params: Tensor<1>, spec: &MlpSpec) -> Tensor<2> {
         if layer > 0 && spec.skip == Some(layer) {
             hidden = Tensor::cat(vec![hidden, x.clone()], 1);
         }
-        hidden = hidden.matmul(weights) + bias;
+        hidden = product(hidden, weights, spec) + bias;
         if layer < spec.depth {
             hidden = relu(hidden);
         }
@@ -41,12 +52,12 @@ pub fn mlp_with_ray(x: Tensor<2>, ray: Tensor<2>, params: Tensor<1>, spec: &MlpS
         let skips = layer > 0 && spec.skip == Some(layer);
         hidden = if layer == 0 || skips {
             let of_rows = weights.clone().narrow(0, 0, inputs - b);
-            let of_ray = ray.clone().matmul(weights.narrow(0, inputs - b, b)) + bias;
+            let of_ray = product(ray.clone(), weights.narrow(0, inputs - b, b), spec) + bias;
             let rows_in = if skips { Tensor::cat(vec![hidden, x.clone()], 1) } else { hidden };
-            let product = rows_in.matmul(of_rows).reshape([rays, rows / rays, cols]);
-            (product + of_ray.unsqueeze_dim::<3>(1)).reshape([rows, cols])
+            let of_rows = product(rows_in, of_rows, spec).reshape([rays, rows / rays, cols]);
+            (of_rows + of_ray.unsqueeze_dim::<3>(1)).reshape([rows, cols])
         } else {
-            hidden.matmul(weights) + bias
+            product(hidden, weights, spec) + bias
         };
         if layer < spec.depth {
             hidden = relu(hidden);
@@ -71,15 +82,15 @@ pub fn grouped_mlp(shared: Tensor<2>, own: Tensor<2>, params: Tensor<2>, spec: &
         let recurrent = if layer == 0 { 0 } else { spec.width };
         let mut sum = part(inputs, 1);
         if let Some(hidden) = hidden.take() {
-            sum = hidden.matmul(part(0, recurrent)) + sum;
+            sum = product(hidden, part(0, recurrent), spec) + sum;
         }
         if inputs > recurrent {
             if s > 0 {
                 let weights = part(recurrent, s).swap_dims(0, 1).reshape([s, groups * cols]);
-                sum = shared.clone().matmul(weights).reshape([rows, groups, cols]).swap_dims(0, 1) + sum;
+                sum = product(shared.clone(), weights, spec).reshape([rows, groups, cols]).swap_dims(0, 1) + sum;
             }
             if let Some(own) = &own {
-                sum = own.clone().matmul(part(recurrent + s, o)) + sum;
+                sum = product(own.clone(), part(recurrent + s, o), spec) + sum;
             }
         }
         start += (inputs + 1) * cols;

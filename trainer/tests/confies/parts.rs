@@ -4,7 +4,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use risorius_trainer::config::{FitSettings, ModelKind};
 use risorius_trainer::fit::gradients;
 use risorius_trainer::fit::norms::GradientNorms;
-use risorius_trainer::kernel::{MlpSpec, mlp_forward_with_ray, reference};
+use risorius_trainer::kernel::{MlpSpec, Products, mlp_forward_with_ray, reference};
 use risorius_trainer::model::{ConfiesModel, Level, RayCodes, Uncertain, Windows, region_groups};
 use risorius_trainer::schedule::Schedule;
 
@@ -126,7 +126,7 @@ fn what_a_ray_shares_may_be_multiplied_once() {
     let device = Device::flex().autodiff();
     let wave = |n: usize, f: f32| (0..n).map(|i| (i as f32 * f).sin()).collect::<Vec<_>>();
     for (depth, skip) in [(2, None), (6, Some(4)), (3, Some(1))] {
-        let spec = MlpSpec { depth, width: 12, skip, output: Some(3) };
+        let spec = MlpSpec { depth, width: 12, skip, output: Some(3), products: Products::F32 };
         let count = spec.parameter_count(9);
         let run = |once: bool| {
             let x = Tensor::<2>::from_data(TensorData::new(wave(35 * 4, 0.7), [35, 4]), &device).require_grad();

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use half::{bf16, f16};
-use risorius_trainer::kernel::{self, MlpSpec};
+use risorius_trainer::kernel::{self, MlpSpec, Products};
 use risorius_trainer::volume::LAST_DELTA;
 
 use crate::Rung;
@@ -76,7 +76,7 @@ fn encode<T: Number>(x: &[T]) -> Vec<T> {
 }
 
 fn spec() -> MlpSpec {
-    MlpSpec { depth: NET.0, width: NET.1, skip: None, output: Some(4) }
+    MlpSpec { depth: NET.0, width: NET.1, skip: None, output: Some(4), products: Products::F32 }
 }
 
 fn mlp<T: Number>(x: &[T], inputs: usize, params: &[T]) -> Vec<T> {

@@ -4,9 +4,9 @@
 use super::{Deformation, DeformationGrad, Samples, room, split};
 use crate::expression::{CHANNELS, MASKS};
 use crate::field::{
-    COLOR_INPUT, EXPRESSION_AT, FEATURES, Field, FieldGrad, HIDDEN, INPUT, LAYER, MIDDLE, OUTPUT, Transposed,
+    COLOR_INPUT, EXPRESSION_AT, FEATURES, Field, FieldGrad, HIDDEN, INPUT, LAYER, LEVELS, MIDDLE, OUTPUT, Transposed,
 };
-use crate::lattice;
+use crate::lattice::{self, Corners};
 use crate::matmul;
 use crate::simd::{Simd, Task};
 use crate::sixteen::{POINTS, Sixteen};
@@ -88,7 +88,8 @@ impl Task for Backward<'_, '_> {
             matmul::accumulate_weights::<S, INPUT, HIDDEN>(&b.x1, &b.d_h1, &mut dw[LAYER[0]..], padded);
             matmul::product::<S, HIDDEN, 32>(&b.d_h1, &turned[0], &mut b.d_x1, padded, false);
         }
-        let mut corners = Sixteen::default();
+        let (mut corners, mut levels) = (Sixteen::default(), [Sixteen::default(); LEVELS]);
+        let mut places = [[Corners::default(); POINTS]; LEVELS];
         for first in (0..n).step_by(POINTS) {
             let count = (n - first).min(POINTS);
             let kept: [usize; POINTS] = std::array::from_fn(|k| b.kept.get(first + k).map_or(0, |&s| s as usize));
@@ -96,17 +97,28 @@ impl Task for Backward<'_, '_> {
             let moves = deformation_grad.as_ref().is_some_and(|g| g.moves);
             let wants_motion: [bool; POINTS] = std::array::from_fn(|k| k < count && (b.in_region[kept[k]] || moves));
             let mut d_point = [[0.0f32; 4]; POINTS];
+            // As on the way there: what is far away is sent for first.
             for l in 0..field.live {
-                let level = &field.levels[l];
-                level.sixteen::<S>(&warped, &mut corners);
-                let steps = level.steps_per_unit();
+                field.levels[l].sixteen::<S>(&warped, &mut levels[l]);
+                let pages = &mut grad.features[l];
                 for k in 0..count {
-                    let (c, w) = (corners.corners(k), corners.weights(k));
-                    let (values, places) = grad.features[l].at(&c);
+                    let c = levels[l].corners(k);
+                    places[l][k] = pages.places(&c);
+                    lattice::prefetch::<S>(pages.values(), FEATURES, &places[l][k].index);
+                    if wants_motion[k] {
+                        lattice::prefetch::<S>(&field.features[l].values, FEATURES, &c.index);
+                    }
+                }
+            }
+            for l in 0..field.live {
+                let steps = field.levels[l].steps_per_unit();
+                let values = grad.features[l].values();
+                for k in 0..count {
+                    let (c, w) = (levels[l].corners(k), levels[l].weights(k));
                     // SAFETY: pages hold the places that they give.
                     unsafe {
                         let dv = S::q_load(b.d_x1.as_ptr().add((first + k) * 32 + l * FEATURES));
-                        lattice::scatter::<S>(values, FEATURES, 0, &places, &w, dv);
+                        lattice::scatter::<S>(values, FEATURES, 0, &places[l][k], &w, dv);
                         if wants_motion[k] {
                             let e = lattice::dots::<S>(&field.features[l].values, FEATURES, 0, &c, dv);
                             let slope = c.slope(&e);

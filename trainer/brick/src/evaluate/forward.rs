@@ -40,7 +40,7 @@ impl Task for Forward<'_> {
         b.warped.resize(n, [0.0; 3]);
         b.in_region.resize(n, false);
         b.masks.resize(n, [0.0; MASKS]);
-        let mut corners = Sixteen::default();
+        let (mut corners, mut levels) = (Sixteen::default(), [Sixteen::default(); LEVELS]);
         for first in (from..n).step_by(POINTS) {
             let count = (n - first).min(POINTS);
             let mut points = split(b.point[first..first + count].iter().copied());
@@ -57,10 +57,14 @@ impl Task for Forward<'_> {
             for s in 0..count {
                 b.warped[first + s] = [points[0][s], points[1][s], points[2][s]];
             }
-            for l in 0..LEVELS {
-                if l < field.live {
-                    field.levels[l].sixteen::<S>(&points, &mut corners);
+            // All levels' corners first, so that what is far away is on its way when it is asked for.
+            for l in 0..field.live {
+                field.levels[l].sixteen::<S>(&points, &mut levels[l]);
+                for s in 0..count {
+                    lattice::prefetch::<S>(&field.features[l].values, FEATURES, &levels[l].corners(s).index);
                 }
+            }
+            for l in 0..LEVELS {
                 for s in 0..count {
                     let x = &mut b.x1[(first + s) * INPUT + l * FEATURES..][..FEATURES];
                     if l >= field.live {
@@ -69,8 +73,8 @@ impl Task for Forward<'_> {
                     }
                     // SAFETY: the table has a row for every slot of its lattice.
                     unsafe {
-                        let values = &field.features[l].values;
-                        let v = lattice::gather::<S>(values, FEATURES, 0, &corners.corners(s), &corners.weights(s));
+                        let (values, c) = (&field.features[l].values, levels[l].corners(s));
+                        let v = lattice::gather::<S>(values, FEATURES, 0, &c, &levels[l].weights(s));
                         S::q_store(x.as_mut_ptr(), v);
                     }
                 }

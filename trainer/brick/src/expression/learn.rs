@@ -122,7 +122,6 @@ impl Task for LearnBrick<'_> {
         let mut sums = vec![[0.0f32; 4]; acting.len()];
         for &vertex in vertices {
             let at = usize::from(vertex) * CHANNELS;
-            let mut grad = [0.0f32; CHANNELS];
             // SAFETY: vertices are below BRICK.
             unsafe {
                 let gate = reach(*gates.get_unchecked(usize::from(vertex) * MASKS + region));
@@ -137,11 +136,9 @@ impl Task for LearnBrick<'_> {
                     let product = S::q_fma(d[0], value[0], S::q_fma(d[1], value[1], S::q_splat(0.0)));
                     S::q_store(sum.as_mut_ptr(), S::q_fma(S::q_splat(gate), product, S::q_load(sum.as_ptr())));
                 }
-                S::q_store(grad.as_mut_ptr(), g[0]);
-                S::q_store(grad.as_mut_ptr().add(4), g[1]);
+                let (m, v) = (first.as_mut_ptr().add(at), second.as_mut_ptr().add(at));
+                update.eight::<S>(g, m, v, values.as_mut_ptr().add(at));
             }
-            let range = at..at + CHANNELS;
-            update.eight(&grad, &mut first[range.clone()], &mut second[range.clone()], &mut values[range]);
         }
         sums.iter().map(|[a, b, c, d]| (a + c) + (b + d)).collect()
     }

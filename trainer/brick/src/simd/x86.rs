@@ -25,6 +25,30 @@ macro_rules! quads {
             unsafe { _mm_fmadd_ps(a, b, c) }
         }
         #[inline(always)]
+        unsafe fn q_add(a: __m128, b: __m128) -> __m128 {
+            unsafe { _mm_add_ps(a, b) }
+        }
+        #[inline(always)]
+        unsafe fn q_sub(a: __m128, b: __m128) -> __m128 {
+            unsafe { _mm_sub_ps(a, b) }
+        }
+        #[inline(always)]
+        unsafe fn q_mul(a: __m128, b: __m128) -> __m128 {
+            unsafe { _mm_mul_ps(a, b) }
+        }
+        #[inline(always)]
+        unsafe fn q_div(a: __m128, b: __m128) -> __m128 {
+            unsafe { _mm_div_ps(a, b) }
+        }
+        #[inline(always)]
+        unsafe fn q_sqrt(a: __m128) -> __m128 {
+            unsafe { _mm_sqrt_ps(a) }
+        }
+        #[inline(always)]
+        unsafe fn prefetch(p: *const f32) {
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+        }
+        #[inline(always)]
         unsafe fn q_dot(a: __m128, b: __m128) -> f32 {
             unsafe {
                 let p = _mm_mul_ps(a, b);
@@ -88,6 +112,18 @@ impl Simd for Avx512 {
     #[inline(always)]
     unsafe fn min(a: __m512, b: __m512) -> __m512 {
         unsafe { _mm512_min_ps(a, b) }
+    }
+    #[inline(always)]
+    unsafe fn div(a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_div_ps(a, b) }
+    }
+    #[inline(always)]
+    unsafe fn sqrt(a: __m512) -> __m512 {
+        unsafe { _mm512_sqrt_ps(a) }
+    }
+    #[inline(always)]
+    unsafe fn some(a: __m512) -> __mmask16 {
+        unsafe { _mm512_cmp_ps_mask::<_CMP_NEQ_UQ>(a, _mm512_setzero_ps()) }
     }
     #[inline(always)]
     unsafe fn ceil(a: __m512) -> __m512 {
@@ -202,7 +238,7 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     unsafe fn relu(a: [__m256; 2]) -> [__m256; 2] {
-        unsafe { a.map(|v| _mm256_max_ps(v, _mm256_setzero_ps())) }
+        unsafe { [_mm256_max_ps(a[0], _mm256_setzero_ps()), _mm256_max_ps(a[1], _mm256_setzero_ps())] }
     }
     #[inline(always)]
     unsafe fn where_positive(gate: [__m256; 2], a: [__m256; 2]) -> [__m256; 2] {
@@ -228,8 +264,23 @@ impl Simd for Avx2 {
         unsafe { [_mm256_min_ps(a[0], b[0]), _mm256_min_ps(a[1], b[1])] }
     }
     #[inline(always)]
+    unsafe fn div(a: [__m256; 2], b: [__m256; 2]) -> [__m256; 2] {
+        unsafe { [_mm256_div_ps(a[0], b[0]), _mm256_div_ps(a[1], b[1])] }
+    }
+    #[inline(always)]
+    unsafe fn sqrt(a: [__m256; 2]) -> [__m256; 2] {
+        unsafe { [_mm256_sqrt_ps(a[0]), _mm256_sqrt_ps(a[1])] }
+    }
+    #[inline(always)]
+    unsafe fn some(a: [__m256; 2]) -> [__m256; 2] {
+        unsafe {
+            let zero = _mm256_setzero_ps();
+            [_mm256_cmp_ps::<_CMP_NEQ_UQ>(a[0], zero), _mm256_cmp_ps::<_CMP_NEQ_UQ>(a[1], zero)]
+        }
+    }
+    #[inline(always)]
     unsafe fn ceil(a: [__m256; 2]) -> [__m256; 2] {
-        unsafe { a.map(|v| _mm256_ceil_ps(v)) }
+        unsafe { [_mm256_ceil_ps(a[0]), _mm256_ceil_ps(a[1])] }
     }
     #[inline(always)]
     unsafe fn lt(a: [__m256; 2], b: [__m256; 2]) -> [__m256; 2] {

@@ -7,6 +7,7 @@ mod rows;
 
 use burn::backend::Dispatch;
 use burn::tensor::Tensor;
+use serde::{Deserialize, Serialize};
 
 use super::{is_fused, reference};
 
@@ -29,6 +30,20 @@ pub struct MlpSpec {
     pub skip: Option<usize>,
     /// Units of the linear output layer; `None` returns the last hidden layer's activations.
     pub output: Option<usize>,
+    /// The numbers of its matrix products.
+    pub products: Products,
+}
+
+/// The numbers that matrix products are made of; their sums, and all else, keep the tensors' own type.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Products {
+    /// The tensors' own numbers.
+    #[default]
+    F32,
+    /// Factors rounded to bfloat16 (8 bits of precision), there and back: tensor cores are up to 16 times as fast with
+    /// them. The fused CPU kernels do not know it: plain operations take their place.
+    Bf16,
 }
 
 impl MlpSpec {
@@ -53,6 +68,11 @@ impl MlpSpec {
         self.layers(inputs).map(|(rows, cols)| (rows + 1) * cols).sum()
     }
 
+    /// Whether the fused operation does it where `tensor` lives.
+    fn is_fused<const D: usize>(&self, tensor: &Tensor<D>) -> bool {
+        self.products == Products::F32 && is_fused(tensor)
+    }
+
     /// Panics on a shape that is no network.
     fn check(&self) {
         assert!(self.depth > 0 && self.width > 0, "an MLP needs a hidden layer and a width: {self:?}");
@@ -75,7 +95,7 @@ pub fn mlp_forward(x: Tensor<2>, params: Tensor<1>, spec: &MlpSpec) -> Tensor<2>
     spec.check();
     let ([_, inputs], [count]) = (x.dims(), params.dims());
     assert_eq!(count, spec.parameter_count(inputs), "parameters of an MLP of {inputs} inputs and {spec:?}");
-    if !is_fused(&x) {
+    if !spec.is_fused(&x) {
         return reference::mlp(x, params, spec);
     }
     Tensor::from_dispatch(<Dispatch as super::extension::Kernels>::fused_mlp(
@@ -103,7 +123,7 @@ pub fn grouped_mlp_forward(shared: Tensor<2>, own: Tensor<2>, params: Tensor<2>,
     assert!(groups > 0 && own_size.is_multiple_of(groups), "{own_size} own inputs for {groups} networks");
     let inputs = shared_size + own_size / groups;
     assert_eq!(count, spec.parameter_count(inputs), "parameters of an MLP of {inputs} inputs and {spec:?}");
-    if !is_fused(&shared) {
+    if !spec.is_fused(&shared) {
         return reference::grouped_mlp(shared, own, params, spec);
     }
     Tensor::from_dispatch(<Dispatch as super::extension::Kernels>::fused_grouped_mlp(
@@ -128,7 +148,7 @@ pub fn per_sample(ray: &Tensor<2>, samples: usize) -> Tensor<2> {
 pub fn mlp_forward_with_ray(x: Tensor<2>, ray: &Tensor<2>, params: Tensor<1>, spec: &MlpSpec) -> Tensor<2> {
     let ([rows, a], [rays, b], [count]) = (x.dims(), ray.dims(), params.dims());
     assert!(rows.is_multiple_of(rays), "{rows} rows of {rays} rays");
-    if is_fused(&x) {
+    if spec.is_fused(&x) {
         return mlp_forward(Tensor::cat(vec![x, per_sample(ray, rows / rays)], 1), params, spec);
     }
     spec.check();
