@@ -1,9 +1,10 @@
 //! Which devices this build can compute on, and which of them are here.
 
-use burn::tensor::Device;
+use burn::tensor::{DType, Device};
 use serde::Serialize;
 
 use crate::error::{Result, TrainerError};
+use crate::kernel::Products;
 
 /// A sort of device.
 #[derive(Clone, Debug, Serialize)]
@@ -48,6 +49,21 @@ pub fn open(name: &str) -> Result<Device> {
         "wgpu" => Ok(Device::wgpu(burn::tensor::DeviceKind::DefaultDevice)),
         _ => Ok(Device::flex()),
     }
+}
+
+/// Whether the device knows the numbers that a model's products want.
+///
+/// # Errors
+/// [`TrainerError::Device`] where it does not.
+pub fn check(device: &Device, products: Products) -> Result<()> {
+    if products == Products::Bf16 && !device.supports_dtype(DType::BF16) {
+        return Err(TrainerError::Device {
+            device: format!("{device:?}"),
+            message: "knows no bfloat16".to_owned(),
+            hint: "leave out `--set model.products=bf16`".to_owned(),
+        });
+    }
+    Ok(())
 }
 
 fn cpu() -> DeviceKind {

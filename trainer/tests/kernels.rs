@@ -98,6 +98,36 @@ fn mlp_equals_its_twin() {
     }
 }
 
+/// Factors in bfloat16: the values to a few per cent, and gradients that point where the others do.
+#[test]
+fn products_in_bf16_keep_value_and_direction() {
+    let device = device();
+    for spec in SPECS {
+        let half = MlpSpec { products: Products::Bf16, ..spec };
+        let (rows, inputs, groups) = (300, 21, 3);
+        let x = random([rows, inputs], 1.0, &device);
+        let params = random([spec.parameter_count(inputs)], 0.4, &device);
+        let own = random([rows, groups * 2], 1.0, &device);
+        let grouped = random([groups, spec.parameter_count(inputs + 2)], 0.4, &device);
+        let pairs = [
+            [spec, half].map(|s| mlp_outcome(|x, p| mlp_forward(x, p, &s), &x, &params)),
+            [spec, half].map(|s| {
+                grouped_outcome(|a, b, c| grouped_mlp_forward(a, b, c, &s), &[x.clone(), own.clone(), grouped.clone()])
+            }),
+        ];
+        for [plain, rounded] in pairs {
+            assert_ne!(plain[0], rounded[0], "{spec:?}: nothing was rounded");
+            for (part, (a, b)) in plain.iter().zip(&rounded).enumerate() {
+                let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(a * b)).sum::<f64>();
+                let cosine = dot(a, b) / (dot(a, a) * dot(b, b)).sqrt();
+                assert!(cosine > 0.995, "{spec:?}, part {part}: cosine {cosine}");
+                let size = dot(b, b).sqrt() / dot(a, a).sqrt();
+                assert!((size - 1.0).abs() < 0.02, "{spec:?}, part {part}: size {size}");
+            }
+        }
+    }
+}
+
 fn grouped_outcome(
     run: impl Fn(Tensor<2>, Tensor<2>, Tensor<2>) -> Tensor<2>,
     [shared, own, params]: &[Tensor<2>; 3],

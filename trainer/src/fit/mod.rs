@@ -19,6 +19,7 @@ use serde::Serialize;
 
 use crate::config::FitSettings;
 use crate::data::TrainData;
+use crate::devices;
 use crate::error::{Result, TrainerError};
 use crate::model::{ConfiesModel, region_groups};
 use crate::saved::SavedModel;
@@ -81,6 +82,7 @@ pub fn fit(
 ) -> Result<FitSummary> {
     settings.validate()?;
     let mut settings = settings.clone();
+    devices::check(device, settings.model.products)?;
     let device = with_gradients(device, &settings);
     let space = NetSpace::new(&data.dataset.scene, data.extras(), settings.model.head_radius);
     let mut state = start(data, &settings, run, resume, &device)?;
