@@ -5,7 +5,7 @@ mod forward;
 
 use self::backward::Backward;
 use self::forward::Forward;
-use crate::expression::MASKS;
+use crate::expression::{BlendGrad, MASKS};
 use crate::field::{Field, FieldGrad, MIDDLE, OUTPUT, Transposed};
 use crate::lattice::Lattice;
 use crate::sixteen::Each;
@@ -27,7 +27,7 @@ pub struct Deformation<'a> {
 #[derive(Debug)]
 pub struct DeformationGrad<'a> {
     /// Of B.
-    pub blend: &'a mut [f32],
+    pub blend: &'a mut BlendGrad,
     /// Of the masks at the vertices.
     pub gates: &'a mut [f32],
     /// Of the image's own displacement.

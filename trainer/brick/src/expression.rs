@@ -14,9 +14,9 @@
 mod learn;
 mod smooth;
 
-pub use self::learn::Seen;
 #[cfg(test)]
 pub(crate) use self::learn::backward;
+pub use self::learn::{BlendGrad, Seen};
 use crate::lattice::{BRICK, Lattice};
 use crate::simd::{self, Simd, Task};
 use crate::table::Table;
@@ -188,12 +188,16 @@ impl Task for BlendBrick<'_> {
             let at = usize::from(vertex) * CHANNELS;
             // SAFETY: vertices are below BRICK.
             unsafe {
+                let gate = reach(*gates.get_unchecked(usize::from(vertex) * MASKS + region));
+                if gate == 0.0 {
+                    continue;
+                }
                 let mut sum = [S::q_splat(0.0); 2];
                 for &(a, residual) in acting {
                     let (a, g) = (S::q_splat(a), residual.as_ptr().add(at));
                     sum = [S::q_fma(a, S::q_load(g), sum[0]), S::q_fma(a, S::q_load(g.add(4)), sum[1])];
                 }
-                let gate = S::q_splat(reach(*gates.get_unchecked(usize::from(vertex) * MASKS + region)));
+                let gate = S::q_splat(gate);
                 let out = out.as_mut_ptr().add(at);
                 S::q_store(out, S::q_fma(gate, sum[0], S::q_load(out)));
                 S::q_store(out.add(4), S::q_fma(gate, sum[1], S::q_load(out.add(4))));

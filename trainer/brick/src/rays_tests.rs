@@ -4,7 +4,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::expression::{CHANNELS, Seen};
+use crate::expression::{BlendGrad, Seen};
 use crate::field::{LAYER, MIDDLE};
 use crate::lattice::BRICK;
 use crate::model::{HeadBox, LATENT, Layout, deformation};
@@ -174,7 +174,8 @@ fn gradients_are_those_of_the_twin() {
     let part = model.background.as_ref().unwrap();
     background.fit(&part.field);
     let slots = model.expression.lattice.slots;
-    let mut d_blend = vec![0.0; slots * BRICK * CHANNELS];
+    let mut d_blend = BlendGrad::default();
+    d_blend.fit(slots);
     let mut d_gates = vec![0.0; slots * BRICK * MASKS];
     let mut d_latent = vec![0.0; model.latent_lattice.slots * BRICK * 4];
     let mut d_motion = [0.0; 6];
@@ -271,6 +272,8 @@ fn the_camera_s_gradient_is_that_of_the_twin() {
     head.fit(&model.head.field);
     let mut unused = FieldGrad::default();
     let slots = model.expression.lattice.slots;
+    let mut d_blend = BlendGrad::default();
+    d_blend.fit(slots);
     let mut d_motion = [0.0; 6];
     rays.backward(
         &model,
@@ -283,7 +286,7 @@ fn the_camera_s_gradient_is_that_of_the_twin() {
         [Prior::default(); 2],
         [&mut head, &mut unused],
         &mut DeformationGrad {
-            blend: &mut vec![0.0; slots * BRICK * CHANNELS],
+            blend: &mut d_blend,
             gates: &mut vec![0.0; slots * BRICK * MASKS],
             latent: &mut vec![0.0; model.latent_lattice.slots * BRICK * 4],
             motion: &mut d_motion,

@@ -136,11 +136,13 @@ impl Task for Backward<'_, '_> {
                 let (c, w) = (corners.corners(k), corners.weights(k));
                 let d = &b.d_x1[(first + k) * 32..(first + k + 1) * 32];
                 let shift = [d_point[k][0], d_point[k][1], d_point[k][2], d[EXPRESSION_AT + 4]];
+                g.blend.touch(&c.index);
+                let blend = g.blend.values.as_mut_slice();
                 // SAFETY: as above.
                 unsafe {
                     let feature = S::q_load(d.as_ptr().add(EXPRESSION_AT));
-                    lattice::scatter::<S>(g.blend, CHANNELS, 0, &c, &w, feature);
-                    lattice::scatter::<S>(g.blend, CHANNELS, 4, &c, &w, S::q_load(shift.as_ptr()));
+                    lattice::scatter::<S>(blend, CHANNELS, 0, &c, &w, feature);
+                    lattice::scatter::<S>(blend, CHANNELS, 4, &c, &w, S::q_load(shift.as_ptr()));
                 }
             }
             if !g.moves {

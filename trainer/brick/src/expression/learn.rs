@@ -9,13 +9,47 @@ use crate::lattice::BRICK;
 use crate::simd::{self, Simd, Task};
 use crate::table::{Adam, Update};
 
+/// The gradient of an image's B, and which bricks have one: an image sees half of a head, and only from one side.
+#[derive(Clone, Debug, Default)]
+pub struct BlendGrad {
+    /// As B; all 0 in bricks without a gradient.
+    pub(crate) values: Vec<f32>,
+    touched: Vec<bool>,
+}
+
+impl BlendGrad {
+    /// Forgets all, and makes room for a lattice of `slots` slots.
+    pub fn fit(&mut self, slots: usize) {
+        for (brick, touched) in self.values.chunks_exact_mut(BRICK * CHANNELS).zip(&mut self.touched) {
+            if std::mem::take(touched) {
+                brick.fill(0.0);
+            }
+        }
+        self.values.resize(slots * BRICK * CHANNELS, 0.0);
+        self.touched.resize(slots, false);
+    }
+
+    /// Notes that vertices `index` are written to.
+    #[inline(always)]
+    pub(crate) fn touch(&mut self, index: &[u32; 8]) {
+        for &i in index {
+            self.touched[i as usize / BRICK] = true;
+        }
+    }
+
+    /// The gradient in a brick, where there is one.
+    fn of(&self, slot: usize) -> Option<&[f32]> {
+        self.touched[slot].then(|| &self.values[slot * BRICK * CHANNELS..(slot + 1) * BRICK * CHANNELS])
+    }
+}
+
 /// What one image says of the expression.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen<'a> {
     /// Its activations, AUs and then code.
     pub activations: &'a [f32],
     /// Gradient of its B.
-    pub d_blend: &'a [f32],
+    pub d_blend: &'a BlendGrad,
 }
 
 /// One residual in one brick.
@@ -51,13 +85,8 @@ impl Expression {
             .into_par_iter()
             .enumerate()
             .map(|(slot, blocks)| {
-                let range = slot * BRICK * CHANNELS..(slot + 1) * BRICK * CHANNELS;
-                let told: Vec<(usize, &[f32])> = images
-                    .iter()
-                    .enumerate()
-                    .map(|(i, image)| (i, &image.d_blend[range.clone()]))
-                    .filter(|(_, d)| d.iter().any(|&v| v != 0.0))
-                    .collect();
+                let told: Vec<(usize, &[f32])> =
+                    images.iter().enumerate().filter_map(|(i, image)| Some((i, image.d_blend.of(slot)?))).collect();
                 if told.is_empty() {
                     return Vec::new();
                 }
@@ -125,6 +154,9 @@ impl Task for LearnBrick<'_> {
             // SAFETY: vertices are below BRICK.
             unsafe {
                 let gate = reach(*gates.get_unchecked(usize::from(vertex) * MASKS + region));
+                if gate == 0.0 {
+                    continue;
+                }
                 let value = values.as_ptr().add(at);
                 let value = [S::q_load(value), S::q_load(value.add(4))];
                 let mut g = [S::q_splat(0.0); 2];
@@ -159,7 +191,7 @@ pub(crate) fn backward(
             for i in 0..BRICK {
                 let gate = reach(gates[(slot as usize * BRICK + i) * MASKS + region]);
                 for c in 0..CHANNELS {
-                    let d = image.d_blend[(slot as usize * BRICK + i) * CHANNELS + c];
+                    let d = image.d_blend.values[(slot as usize * BRICK + i) * CHANNELS + c];
                     let at = (block * BRICK + i) * CHANNELS + c;
                     grads[k][at] += a * gate * d;
                     d_activations[k] += gate * d * table.values[at];
@@ -194,7 +226,17 @@ mod tests {
             let activations: Vec<Vec<f32>> = (0..3)
                 .map(|i| (0..count).map(|k| if (i + k + step) % 4 == 0 { 0.0 } else { number(1.0) }).collect())
                 .collect();
-            let d_blend: Vec<Vec<f32>> = (0..3).map(|_| (0..n).map(|_| number(1.0)).collect()).collect();
+            let d_blend: Vec<BlendGrad> = (0..3)
+                .map(|image| {
+                    let mut d = BlendGrad::default();
+                    d.fit(fused.lattice.slots);
+                    // The last brick of each image but the first has no gradient.
+                    let told = if image == 0 { n } else { n - BRICK * CHANNELS };
+                    d.values[..told].fill_with(|| number(1.0));
+                    (0..told / CHANNELS).for_each(|i| d.touch(&[i as u32; 8]));
+                    d
+                })
+                .collect();
             let seen: Vec<Seen<'_>> =
                 activations.iter().zip(&d_blend).map(|(activations, d_blend)| Seen { activations, d_blend }).collect();
             let mut grads: Vec<Vec<f32>> = plain.iter().map(|t| vec![0.0; t.values.len()]).collect();

@@ -4,7 +4,7 @@ use rand::Rng;
 
 use super::{Pixel, Settings, Views, activations, rng_for};
 use crate::evaluate::DeformationGrad;
-use crate::expression::{CHANNELS, MASKS};
+use crate::expression::{BlendGrad, CHANNELS, MASKS};
 use crate::field::{FieldGrad, Transposed};
 use crate::lattice::BRICK;
 use crate::model::{Brick, deformation};
@@ -39,7 +39,7 @@ pub(super) struct Image {
     pub(super) annotated: bool,
     pub(super) activations: Vec<f32>,
     blend: Vec<f32>,
-    pub(super) d_blend: Vec<f32>,
+    pub(super) d_blend: BlendGrad,
     latent: Vec<f32>,
     pub(super) d_latent: Vec<f32>,
     pub(super) d_motion: [f32; 6],
@@ -76,8 +76,7 @@ impl Image {
         let numbers = model.expression.lattice.slots * BRICK * CHANNELS;
         // Written whole, brick by brick.
         self.blend.resize(numbers, 0.0);
-        self.d_blend.clear();
-        self.d_blend.resize(numbers, 0.0);
+        self.d_blend.fit(model.expression.lattice.slots);
         self.d_latent.clear();
         self.d_latent.resize(model.latent_lattice.slots * BRICK * 4, 0.0);
         if work.learns_codes() {
