@@ -140,7 +140,7 @@ fn key_frames_become_exact_and_all_others_find_their_place() {
     assert!(model.reprojection_error_px().unwrap() < 0.2);
     let frames = frames();
     let follow = Follow::new(&model, &pictures, &frames, |_, _| false).unwrap();
-    let followed = follow.run(&model.poses(), dir.path(), &Collected::default()).unwrap();
+    let followed = follow.run(&model.poses(), dir.path(), &BTreeSet::new(), &Collected::default()).unwrap();
     assert_eq!(followed.poses.len() + pictures.len(), FRAMES as usize, "lost {:?}", followed.lost);
     let mut all = followed.poses;
     all.extend(model.poses());
@@ -160,7 +160,7 @@ fn frames_without_the_scene_are_lost_and_the_next_ones_found_again() {
     sharpen(&mut model, &pictures).unwrap();
     let frames = frames();
     let follow = Follow::new(&model, &pictures, &frames, |_, _| false).unwrap();
-    let followed = follow.run(&model.poses(), dir.path(), &Collected::default()).unwrap();
+    let followed = follow.run(&model.poses(), dir.path(), &BTreeSet::new(), &Collected::default()).unwrap();
     assert_eq!(followed.lost, [11, 12, 13]);
     let mut found = followed.poses;
     found.extend(model.poses());
