@@ -11,9 +11,12 @@ use crate::poses::triangulate::median;
 /// Key frames and points after an adjustment.
 pub(crate) struct Moved {
     lens: Intrinsics,
-    /// The pose of each key frame, and its points that are left: where they are, and where they project.
-    keys: Vec<(Isometry, Vec<Option<(DVec3, DVec2)>>)>,
+    /// The pose of each key frame, and its points.
+    keys: Vec<(Isometry, Vec<Option<Place>>)>,
 }
+
+/// Where a point that is left is now, and where it projects in its key frame.
+type Place = (DVec3, DVec2);
 
 impl Follow<'_> {
     /// Where key frames and points are now.
