@@ -247,7 +247,7 @@ impl Hint for TrackerError {
                 }
             }
             Self::ColmapMissing { .. } => {
-                "install it (`apt install colmap`), name it with `--colmap PATH`, or give a finished model with `--colmap-model DIR`"
+                "install it (`apt install colmap`, or `pip install pycolmap` and `--colmap python3`), name it with `--colmap PATH`, or give a finished model with `--colmap-model DIR`"
                     .into()
             }
             Self::ColmapFailed { log, .. } => format!("the whole output is in {}", log.display()).into(),

@@ -219,19 +219,8 @@ fn turn_of(frame: u32, gap: f64) -> f64 {
     (f64::from(frame) - 29.5) * 0.012 + half
 }
 
-#[test]
-fn both_sides_of_a_cut_are_placed_where_they_see_the_same_place() {
-    if !colmap_is_here() {
-        return;
-    }
-    let dir = tempfile::tempdir().unwrap();
-    let room = Room::new(7);
-    let turn = |i: u32| turn_of(i, 0.2);
-    let take = take_with(dir.path(), 60, |i| room.picture(turn(i)), |i| Room::points(turn(i)));
-    let heard = Collected::default();
-    let colmap = ColmapOptions { keyframes: Some(20), ..ColmapOptions::default() };
-    let report = poses::find(&take, &options(colmap), &heard).unwrap();
-    assert!(report.notes.iter().any(|n| n.contains("jump") && n.contains("before frame 30")), "{:?}", report.notes);
+/// All 60 cameras have turned against the first one as they did in truth.
+fn check_turns(take: &Path, turn: impl Fn(u32) -> f64) {
     let model = colmap::read_model(take.join("poses/sparse")).unwrap();
     assert_eq!(model.images.len(), 60);
     // Turns against the first frame do not depend on where the model's world lies.
@@ -250,6 +239,22 @@ fn both_sides_of_a_cut_are_placed_where_they_see_the_same_place() {
 }
 
 #[test]
+fn both_sides_of_a_cut_are_placed_where_they_see_the_same_place() {
+    if !colmap_is_here() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let room = Room::new(7);
+    let turn = |i: u32| turn_of(i, 0.2);
+    let take = take_with(dir.path(), 60, |i| room.picture(turn(i)), |i| Room::points(turn(i)));
+    let heard = Collected::default();
+    let colmap = ColmapOptions { keyframes: Some(20), ..ColmapOptions::default() };
+    let report = poses::find(&take, &options(colmap), &heard).unwrap();
+    assert!(report.notes.iter().any(|n| n.contains("jump") && n.contains("before frame 30")), "{:?}", report.notes);
+    check_turns(&take, turn);
+}
+
+#[test]
 fn a_cut_to_another_place_is_told() {
     if !colmap_is_here() {
         return;
@@ -261,4 +266,26 @@ fn a_cut_to_another_place_is_told() {
     let take = take_with(dir.path(), 60, picture, |i| Room::points(turn(i)));
     let error = fails_with(&take, ColmapOptions { keyframes: Some(20), ..ColmapOptions::default() });
     assert!(blames_the_video(&error), "{error}");
+}
+
+/// `RISORIUS_COLMAP_OTHERS=path:path`: COLMAP programs, or Pythons with `pycolmap`, besides the installed one.
+#[test]
+fn other_versions_of_colmap_place_the_same_arc() {
+    let named = std::env::var_os("RISORIUS_COLMAP_OTHERS").unwrap_or_default();
+    let programs: Vec<PathBuf> = std::env::split_paths(&named).filter(|p| !p.as_os_str().is_empty()).collect();
+    if programs.is_empty() {
+        eprintln!("SKIPPED: RISORIUS_COLMAP_OTHERS names no other COLMAP");
+    }
+    let room = Room::new(7);
+    let turn = |i: u32| turn_of(i, 0.0);
+    for program in programs {
+        let dir = tempfile::tempdir().unwrap();
+        let take = take_with(dir.path(), 60, |i| room.picture(turn(i)), |i| Room::points(turn(i)));
+        let colmap = ColmapOptions { keyframes: Some(20), program: program.clone(), ..ColmapOptions::default() };
+        let heard = Collected::default();
+        let report =
+            poses::find(&take, &options(colmap), &heard).unwrap_or_else(|e| panic!("{}: {e}", program.display()));
+        eprintln!("{}: {}", program.display(), report.notes[0]);
+        check_turns(&take, turn);
+    }
 }

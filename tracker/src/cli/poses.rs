@@ -42,7 +42,7 @@ pub(super) struct PosesArgs {
     /// Key frames that COLMAP gets [default: one per 0.5 s, 40 to 80]
     #[arg(long, value_name = "N")]
     keyframes: Option<usize>,
-    /// The COLMAP program [default: colmap]
+    /// The COLMAP program, or a Python that has `pycolmap`, such as venv/bin/python [default: colmap, else python3]
     #[arg(long, value_name = "PATH")]
     colmap: Option<PathBuf>,
     /// COLMAP's camera model [default: SIMPLE_RADIAL]

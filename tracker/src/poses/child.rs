@@ -7,7 +7,7 @@
 use std::ffi::OsString;
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
@@ -22,6 +22,8 @@ const POLL: Duration = Duration::from_millis(40);
 pub(crate) struct Runner<'a> {
     /// The program: a path, or a name to be found by the system.
     pub(crate) program: &'a Path,
+    /// Words before each step: what to run, where the program is an interpreter.
+    pub(crate) before: &'a [OsString],
     /// Where the output goes; it is appended.
     pub(crate) log: &'a Path,
     /// The log's place once everything is done, for messages.
@@ -48,6 +50,7 @@ impl Runner<'_> {
         let mut command = Command::new(self.program);
         end_with_us(&mut command);
         let child = command
+            .args(self.before)
             .arg(step)
             .args(args)
             // Builds with a window system must not look for a screen.
@@ -174,9 +177,4 @@ pub(crate) fn number_after(line: &str, before: &str) -> Option<u64> {
     let rest = &line[line.find(before)? + before.len()..];
     let end = rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len());
     rest[..end].parse().ok()
-}
-
-/// The program's path as it was given, for notes.
-pub(crate) fn default_program() -> PathBuf {
-    PathBuf::from("colmap")
 }

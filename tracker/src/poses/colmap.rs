@@ -11,17 +11,17 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use glam::DVec2;
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ImageEncoder, RgbImage, imageops};
-use risorius_formats::{FormatError, FrameIndex, Reporter, Silent, Take, Track, Warning};
+use risorius_formats::{FormatError, FrameIndex, Reporter, Silent, Take, Warning};
 
 use super::child::{Runner, number_after};
-use super::flags::{Flags, Version};
+use super::flags::Flags;
 use super::join::join;
+use super::keyframes;
+use super::keys::{self, Keys};
 use super::model::{self, Found};
 use super::picture::Picture;
+use super::program::{Program, Surroundings};
 use super::work::{self, Work};
-use super::{keyframes, mask};
 use crate::error::{Result, TrackerError};
 
 /// Below this share of placed key frames the result is refused.
@@ -30,10 +30,6 @@ pub const MIN_REGISTERED_SHARE: f64 = 0.4;
 const SMALL_SIDE: u32 = 720;
 /// Pairs per call of the matcher.
 const PAIRS_PER_CALL: usize = 150;
-/// Key frames needed at least.
-const FEWEST_KEYS: usize = 8;
-/// So many textured places beside the face, and the face is left out.
-const TEXTURED: usize = 100;
 /// COLMAP's own least number of images of a model.
 const MIN_IMAGES: usize = 3;
 
@@ -51,7 +47,7 @@ pub enum MaskFace {
 /// How COLMAP is run.
 #[derive(Clone, Debug)]
 pub struct ColmapOptions {
-    /// The program.
+    /// The program: COLMAP, or a Python that has `pycolmap` (its file name begins with `python`).
     pub program: PathBuf,
     /// How many key frames; `None` decides by the length of the take.
     pub keyframes: Option<usize>,
@@ -74,7 +70,7 @@ pub struct ColmapOptions {
 impl Default for ColmapOptions {
     fn default() -> Self {
         Self {
-            program: super::child::default_program(),
+            program: super::program::default_path(),
             keyframes: None,
             // A second focal length and tangential terms trade off against the pose: with OPENCV, a capture with
             // known square pixels came out with fy 0.4 % off and every pose turned by the same 0.12°.
@@ -115,24 +111,23 @@ pub fn run(
     final_log: &Path,
     reporter: &dyn Reporter,
 ) -> Result<Run> {
-    let started = Instant::now();
-    let runner = Runner { program: &options.program, log, final_log, started, limit: options.time_limit, reporter };
-    // Asked first: a missing program should not cost the extraction of pictures.
-    let version = find_version(&runner)?;
-    let flags = Flags::of(version);
-    let version = version.map_or("of unknown version".to_owned(), |v| v.to_string());
+    let around = Surroundings { log, final_log, started: Instant::now(), limit: options.time_limit, reporter };
+    let program = Program::find(&options.program, around)?;
+    let runner = program.runner(around);
+    let flags = Flags::of(program.version);
+    let in_words = program.in_words();
     let keys: Vec<u32> = read.pictures.keys().copied().collect();
-    let (masked, why) = decide_mask(options.mask_face, &read.pictures, &read.outlines);
+    let (masked, why) = keys::decide_mask(options.mask_face, &read.pictures, &read.outlines);
     let face = if masked { read.outlines.clone() } else { BTreeMap::new() };
-    let work = Work::open(work_dir.to_owned(), &job(take, &keys, options, &version, &face))?;
-    let mut notes = vec![format!("COLMAP {version} on {} key frames", keys.len()), why];
+    let work = Work::open(work_dir.to_owned(), &job(take, &keys, options, &in_words, &face))?;
+    let mut notes = vec![format!("{in_words} on {} key frames", keys.len()), why];
     if work.is_done("features") {
         let message = "went on where an earlier run had stopped".to_owned();
         reporter.note(&message);
         notes.push(message);
     }
     if !work.is_done("pictures") {
-        write_keys(&keys, &read, &face, masked, take, &work)?;
+        keys::write(&keys, &read, &face, masked, take, &work)?;
         work.done("pictures")?;
     }
     let (pictures, database) = (work.path("images"), work.path("database.db"));
@@ -173,15 +168,10 @@ pub fn run(
     Ok(Run { found, keyframes: keys, pictures: read.pictures, face, notes })
 }
 
-/// Whether the program is there: asked before pictures are read.
-pub fn look_for(
-    options: &ColmapOptions,
-    log: &Path,
-    final_log: &Path,
-    reporter: &dyn Reporter,
-) -> Result<Option<Version>> {
-    let limit = options.time_limit;
-    find_version(&Runner { program: &options.program, log, final_log, started: Instant::now(), limit, reporter })
+/// Whether the program is there: asked before pictures are read, as a missing program should not cost that.
+pub fn look_for(options: &ColmapOptions, log: &Path, final_log: &Path, reporter: &dyn Reporter) -> Result<()> {
+    let around = Surroundings { log, final_log, started: Instant::now(), limit: options.time_limit, reporter };
+    Program::find(&options.program, around).map(drop)
 }
 
 /// What the files in the work folder depend on.
@@ -212,138 +202,8 @@ fn first_octave(take: &Take, options: &ColmapOptions) -> &'static str {
     if side < SMALL_SIDE { "-1" } else { "0" }
 }
 
-fn find_version(runner: &Runner<'_>) -> Result<Option<Version>> {
-    let text = match runner.run("help", &[], None) {
-        Ok(text) => text,
-        Err(TrackerError::ColmapFailed { last_line, .. }) => last_line,
-        Err(e) => return Err(e),
-    };
-    let version = Version::find(&text);
-    if version.is_none() {
-        runner.reporter.warn(Warning::new(
-            "colmap-version",
-            format!(
-                "`{} help` does not tell its version; the option names of the newest one are used",
-                runner.program.display()
-            ),
-        ));
-    }
-    Ok(version)
-}
-
 fn words(pairs: &[(&str, &std::ffi::OsStr)]) -> Vec<OsString> {
     pairs.iter().flat_map(|(name, value)| [OsString::from(name), (*value).to_owned()]).collect()
-}
-
-fn create_dir(dir: &Path) -> Result<()> {
-    fs::create_dir_all(dir).map_err(|e| FormatError::io(dir, "create the folder", &e).into())
-}
-
-/// Key frames in memory.
-pub struct Keys {
-    /// Grey, for patches.
-    pub(crate) pictures: BTreeMap<u32, Picture>,
-    /// In colour and at the size for COLMAP.
-    reduced: BTreeMap<u32, RgbImage>,
-    /// Outlines of the faces, pixels, where there are landmarks.
-    pub(crate) outlines: BTreeMap<u32, Vec<DVec2>>,
-}
-
-/// Chooses and reads the key frames.
-pub fn read_keys(take: &Take, track: &Track, options: &ColmapOptions, reporter: &dyn Reporter) -> Result<Keys> {
-    let count = options.keyframes.unwrap_or_else(|| keyframes::default_count(&take.frames));
-    let keys = keyframes::choose(&take.frames, track, count);
-    if keys.len() < FEWEST_KEYS {
-        return Err(TrackerError::FewFrames { frames: keys.len() });
-    }
-    let mut read = Keys { pictures: BTreeMap::new(), reduced: BTreeMap::new(), outlines: outlines(track, &keys) };
-    reporter.stage("key frames", Some(keys.len() as u64));
-    risorius_video::read_frames(take.media_path(), &keys, |frame, picture| -> Result<()> {
-        if reporter.cancelled() {
-            return Err(TrackerError::Cancelled { doing: "extracting key frames".into() });
-        }
-        read.pictures.insert(frame, Picture::new(&picture));
-        read.reduced.insert(frame, reduced(picture, options.max_side));
-        reporter.advance(1);
-        Ok(())
-    })?;
-    Ok(read)
-}
-
-/// Outlines of the faces in the key frames.
-fn outlines(track: &Track, keys: &[u32]) -> BTreeMap<u32, Vec<DVec2>> {
-    let rows = track.rows.iter().filter(|r| r.success && keys.binary_search(&r.frame.0).is_ok());
-    rows.filter_map(|r| Some((r.frame.0, mask::face_outline(r.landmarks.as_deref()?, 1.0)))).collect()
-}
-
-/// Whether the face is left out, and why.
-fn decide_mask(
-    mask: MaskFace,
-    pictures: &BTreeMap<u32, Picture>,
-    outlines: &BTreeMap<u32, Vec<DVec2>>,
-) -> (bool, String) {
-    match mask {
-        MaskFace::On => (true, "features on the face left out, as asked".to_owned()),
-        MaskFace::Off => (false, "features on the face used, as asked".to_owned()),
-        MaskFace::Auto if outlines.is_empty() => {
-            (false, "features everywhere: no key frame has landmarks to mask the face by".to_owned())
-        }
-        MaskFace::Auto => {
-            let outside = mask::texture_outside(pictures, outlines);
-            if outside >= TEXTURED {
-                (true, format!("features on the moving face left out: {outside} textured places beside it"))
-            } else {
-                (false, format!("features on the face used: only {outside} textured places beside it"))
-            }
-        }
-    }
-}
-
-/// Writes the key frames (and masks) as PNG.
-fn write_keys(
-    keys: &[u32],
-    read: &Keys,
-    face: &BTreeMap<u32, Vec<DVec2>>,
-    masked: bool,
-    take: &Take,
-    work: &Work,
-) -> Result<()> {
-    let (pictures, masks) = (work.path("images"), work.path("masks"));
-    create_dir(&pictures)?;
-    if masked {
-        create_dir(&masks)?;
-    }
-    for frame in keys {
-        let Some(picture) = read.reduced.get(frame) else { continue };
-        let name = FrameIndex(*frame).image_name();
-        write_png(&pictures.join(&name), picture)?;
-        if masked {
-            let scale = f64::from(picture.width()) / f64::from(take.manifest.width);
-            let outline = face.get(frame).map(Vec::as_slice);
-            let mask = mask::outside_face(picture.width(), picture.height(), scale, outline);
-            let path = masks.join(format!("{name}.png"));
-            mask.save(&path).map_err(|e| FormatError::syntax(format!("cannot write: {e}")).in_file(&path))?;
-        }
-    }
-    Ok(())
-}
-
-fn reduced(picture: RgbImage, max_side: u32) -> RgbImage {
-    let side = picture.width().max(picture.height());
-    if side <= max_side {
-        return picture;
-    }
-    let scale = f64::from(max_side) / f64::from(side);
-    let to = |n: u32| (f64::from(n) * scale).round().max(1.0) as u32;
-    imageops::resize(&picture, to(picture.width()), to(picture.height()), imageops::FilterType::Triangle)
-}
-
-fn write_png(path: &Path, picture: &RgbImage) -> Result<()> {
-    let io = |e: std::io::Error| FormatError::io(path, "write", &e);
-    let file = std::io::BufWriter::new(fs::File::create(path).map_err(io)?);
-    PngEncoder::new_with_quality(file, CompressionType::Fast, FilterType::Sub)
-        .write_image(picture.as_raw(), picture.width(), picture.height(), image::ExtendedColorType::Rgb8)
-        .map_err(|e| FormatError::syntax(format!("cannot write: {e}")).in_file(path).into())
 }
 
 fn compare(runner: &Runner<'_>, keys: &[u32], database: &Path, flags: Flags, work: &Work) -> Result<()> {
@@ -379,7 +239,7 @@ fn map(runner: &Runner<'_>, keys: &[u32], database: &Path, pictures: &Path, flag
     let sparse = work.path("sparse");
     // Half a model of a run that was killed.
     work::remove(&sparse)?;
-    create_dir(&sparse)?;
+    keys::create_dir(&sparse)?;
     runner.reporter.stage("map", Some(keys.len() as u64));
     let args = words(&[
         ("--database_path", database.as_os_str()),
@@ -390,9 +250,7 @@ fn map(runner: &Runner<'_>, keys: &[u32], database: &Path, pictures: &Path, flag
         ("--Mapper.ba_global_points_ratio", "1.4".as_ref()),
         ("--Mapper.ba_global_max_num_iterations", "30".as_ref()),
     ]);
-    // `Registering image #12 (34)` is the 34th image.
-    let progress = |line: &str| line.contains("Registering image #").then(|| number_after(line, "(")).flatten();
-    match runner.run("mapper", &args, Some(progress)) {
+    match runner.run("mapper", &args, Some(images_placed)) {
         // Some versions exit with an error when they find no model; that is told better below.
         Err(TrackerError::ColmapFailed { .. })
             if model::model_dirs(&sparse).is_empty() && is_about_no_model(runner.log) =>
@@ -403,10 +261,19 @@ fn map(runner: &Runner<'_>, keys: &[u32], database: &Path, pictures: &Path, flag
     }
 }
 
+/// `Registering image #12 (34)` is the 34th image; from 3.12 on it reads `(num_reg_frames=34)`.
+fn images_placed(line: &str) -> Option<u64> {
+    line.contains("Registering image #")
+        .then(|| number_after(line, "num_reg_frames=").or(number_after(line, "(")))
+        .flatten()
+}
+
 fn is_about_no_model(log: &Path) -> bool {
     let text = fs::read(log).map(|b| String::from_utf8_lossy(&b).into_owned()).unwrap_or_default();
     let text = text.to_ascii_lowercase();
-    text.contains("failed to create sparse model") || text.contains("no good initial image pair")
+    // 4.0 says `any sparse model`.
+    let none = ["failed to create sparse model", "failed to create any sparse model", "no good initial image pair"];
+    none.iter().any(|words| text.contains(words))
 }
 
 /// The largest sub-model, with the others joined to it where they share frames.

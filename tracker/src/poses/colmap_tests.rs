@@ -1,6 +1,8 @@
 use super::*;
 use crate::testing;
+use image::RgbImage;
 use risorius_formats::Hint;
+use risorius_formats::Track;
 use risorius_formats::report::Collected;
 use std::os::unix::fs::PermissionsExt;
 
@@ -49,7 +51,7 @@ impl Stage {
         let work = self.dir.path().join("work");
         let log = self.dir.path().join("colmap.log");
         let _ = fs::remove_file(&log);
-        let result = read_keys(&self.take, &Track::default(), options, reporter)
+        let result = keys::read(&self.take, &Track::default(), options, reporter)
             .and_then(|keys| run(&self.take, options, keys, &work, &log, Path::new("final.log"), reporter));
         (result, fs::read_to_string(log).unwrap_or_default())
     }
@@ -100,6 +102,35 @@ fn a_whole_run_reads_progress_from_the_log_and_tells_the_flags() {
     assert!(log.contains("--SiftExtraction.use_gpu 0") && log.contains("--SiftMatching.use_gpu 0"), "{log}");
     assert!(stage.dir.path().join("work/masks/000003.png.png").is_file());
     assert!(stage.dir.path().join("work/images/000009.png").is_file());
+}
+
+#[test]
+fn the_mapper_s_progress_is_read_in_old_and_new_words() {
+    let old = "Registering image #12 (34)";
+    let new = "I20260314 12:00:00.5 77 incremental_pipeline.cc:524] Registering image #12 (num_reg_frames=34)";
+    assert_eq!((images_placed(old), images_placed(new)), (Some(34), Some(34)));
+    assert_eq!(images_placed("I20260314 x.cc:7] Registering initial image pair #1 and #2"), None);
+    assert_eq!(images_placed("Bundle adjustment (3)"), None);
+}
+
+#[test]
+fn a_python_with_pycolmap_does_the_steps_and_one_without_is_told() {
+    let stage = Stage::new();
+    let python = stage.dir.path().join("python3.12");
+    // Gets `-c TEXT step …`; `colmap` of the other tests stands in for what the text does.
+    let text = "#!/bin/sh\n[ \"$1\" = -c ] && shift 2\nexec \"$(dirname \"$0\")/colmap\" \"$@\"\n";
+    fs::write(&python, text).unwrap();
+    fs::set_permissions(&python, fs::Permissions::from_mode(0o755)).unwrap();
+    // Writes `colmap`.
+    assert!(stage.run(&mapper(10), None, &Collected::default()).0.is_ok());
+    let (result, log) = stage.run_program(python.clone(), None, &Collected::default());
+    let run = result.unwrap();
+    assert!(run.notes[0].contains("COLMAP 3.8 by pycolmap"), "{:?}", run.notes);
+    assert!(log.contains("mapper --database_path") && !log.contains("import pycolmap"), "{log}");
+    fs::write(&python, "#!/bin/sh\necho \"No module named 'pycolmap'\" >&2; exit 1\n").unwrap();
+    let error = stage.run_program(python, None, &Collected::default()).0.unwrap_err();
+    assert!(matches!(&error, TrackerError::ColmapMissing { reason, .. } if reason.contains("pycolmap")), "{error}");
+    assert!(error.hint().unwrap().contains("pip install pycolmap"));
 }
 
 #[test]
@@ -174,6 +205,14 @@ fn no_model_is_told_apart_from_a_crash() {
     let afresh = || work::remove(&stage.dir.path().join("work")).unwrap();
     let (result, _) = stage.run(
         &format!("{start}mapper) echo 'ERROR: failed to create sparse model'; exit 1;;"),
+        None,
+        &Collected::default(),
+    );
+    assert!(matches!(result.unwrap_err(), TrackerError::ColmapNoModel { tried: 10, .. }));
+    // 4.0 says it in other words.
+    afresh();
+    let (result, _) = stage.run(
+        &format!("{start}mapper) echo 'E0101 sfm.cc:288] Failed to create any sparse model' >&2; exit 1;;"),
         None,
         &Collected::default(),
     );

@@ -12,7 +12,7 @@ use super::follow::Follow;
 use super::model::PlacedFrame;
 use super::picture::Picture;
 use super::triangulate::median;
-use super::{Placed, PosesOptions, interpolate, sharpen};
+use super::{Placed, PosesOptions, interpolate, joint, sharpen};
 use crate::error::Result;
 
 /// Makes the key frames exact and places the frames between them by patches.
@@ -24,12 +24,13 @@ pub(super) fn follow_frames(
     reporter: &dyn Reporter,
 ) -> Result<()> {
     reporter.stage("refine the key frames", None);
-    if let Some(done) = sharpen::sharpen(&mut placed.model, pictures) {
+    let sharpened = sharpen::sharpen(&mut placed.model, pictures);
+    if let Some(done) = &sharpened {
         placed.notes.push(format!(
             "key frames refined on {} points in {} views: median error {:.2} px",
             done.points, done.views, done.median_error_px
         ));
-        placed.notes.extend(done.notes);
+        placed.notes.extend(done.notes.iter().cloned());
         placed.focal_share = Some(done.focal_share);
     } else {
         placed.notes.push("key frames as COLMAP left them: too few points whose patches are found again".to_owned());
@@ -39,7 +40,10 @@ pub(super) fn follow_frames(
         placed.notes.push("too few patches to place the frames between key frames; they are interpolated".to_owned());
         return Ok(());
     };
-    let followed = follow.run(&placed.model.poses(), &take.media_path(), reporter)?;
+    let poses = placed.model.poses();
+    let spread = if sharpened.is_some() { joint::SPREAD } else { 0 };
+    let keep = joint::spread(take.frames.len(), &poses, spread);
+    let mut followed = follow.run(&poses, &take.media_path(), &keep, reporter)?;
     let mut errors: Vec<f64> = followed.errors_px.values().copied().collect();
     placed.notes.push(format!(
         "{} frames placed by patches of the nearest key frames: median error {:.2} px; {} not found, {} stood out",
@@ -49,6 +53,15 @@ pub(super) fn follow_frames(
         followed.dropped.len()
     ));
     placed.frames_followed = followed.poses.len();
+    reporter.stage("refine all frames", None);
+    if let Some(joint) =
+        sharpened.as_ref().and_then(|done| joint::refine(&mut placed.model, pictures, done, &follow, &mut followed))
+    {
+        placed.notes.extend(joint.notes);
+        if joint.kept {
+            placed.focal_share = Some(joint.focal_share);
+        }
+    }
     if let Some(first) = followed.cuts.first() {
         let message = format!(
             "{} jumps between one frame and the next: cuts in the video, or frames missing; the first before frame {first}",

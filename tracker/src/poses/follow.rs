@@ -6,7 +6,10 @@
 //! what the detector had wrong cancels out. The two nearest key frames are used, the nearer counts more, so that one
 //! fades into the next.
 
-use std::collections::BTreeMap;
+mod again;
+mod outliers;
+
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::mpsc::sync_channel;
 
@@ -40,15 +43,6 @@ const LEAST_MARKS: usize = 14;
 const LEAST_SHARE: f64 = 0.35;
 /// How far the pose may be from where it was expected: radians, and shares of the depth.
 const LOOSE: f64 = 0.03;
-/// A frame that is this many times as far from its neighbours' mean as others is dropped.
-const OUTLIER: f64 = 12.0;
-/// … and at least this far, pixels.
-const OUTLIER_PX: f64 = 1.5;
-/// A frame that stands out is dropped if its patches miss by this many times what is usual.
-const MISFIT: f64 = 2.0;
-/// A step of this many times the usual one, and of this many pixels, is a cut.
-const CUT: f64 = 12.0;
-const CUT_PX: f64 = 25.0;
 /// Decoded pictures that wait.
 const WAITING: usize = 4;
 
@@ -71,6 +65,7 @@ struct Key {
 
 /// A point, where it projects in its key frame, and its patches from fine to coarse.
 struct Mark {
+    id: u64,
     point: DVec3,
     pixel: DVec2,
     patches: Vec<Template>,
@@ -87,13 +82,26 @@ pub(crate) struct Followed {
     pub(crate) lost: Vec<u32>,
     /// Frames that were placed, but stood out and fit badly.
     pub(crate) dropped: Vec<u32>,
+    /// Where patches were found in the placed frames.
+    pub(crate) sights: BTreeMap<u32, Vec<Sight>>,
+    /// Pictures of the frames that were to be kept.
+    pub(crate) pictures: BTreeMap<u32, Picture>,
     /// Frames that fit well and yet stand far from the frame before: the video was cut there.
     pub(crate) cuts: Vec<u32>,
+}
+
+/// A patch that was found: which of which key frame, and where. Kept for every frame of a video, hence small.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sight {
+    key: u16,
+    mark: u16,
+    pixel: [f32; 2],
 }
 
 /// A pose and how well it fits.
 struct Fit {
     pose: Isometry,
+    sights: Vec<Sight>,
     agreeing: usize,
     share: f64,
     error_px: f64,
@@ -127,7 +135,8 @@ impl<'a> Follow<'a> {
                     .points
                     .iter()
                     .filter_map(|p| {
-                        let point = model.points.get(&p.point3d?)?.position;
+                        let id = p.point3d?;
+                        let point = model.points.get(&id)?.position;
                         let pixel = lens.project(pose.transform_point(point));
                         if avoid(**frame, pixel) {
                             return None;
@@ -140,7 +149,7 @@ impl<'a> Follow<'a> {
                             let Some(patch) = Template::cut(picture, level, pixel, false) else { break };
                             patches.push(patch);
                         }
-                        Some((strength, Mark { point, pixel, patches }))
+                        Some((strength, Mark { id, point, pixel, patches }))
                     })
                     .collect();
                 marks.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -154,11 +163,12 @@ impl<'a> Follow<'a> {
         (keys.len() >= 2).then_some(Self { lens, keys, frames, depth })
     }
 
-    /// Places all frames of the video that have no pose yet.
+    /// Places all frames of the video that have no pose yet; pictures of the frames in `keep` are kept.
     pub(crate) fn run(
         &self,
         placed: &BTreeMap<u32, Isometry>,
         video: &Path,
+        keep: &BTreeSet<u32>,
         reporter: &dyn Reporter,
     ) -> Result<Followed> {
         // Where to look when the frame before does not tell; however long the gap.
@@ -196,6 +206,10 @@ impl<'a> Follow<'a> {
                     Some(fit) => {
                         result.poses.insert(frame, fit.pose);
                         result.errors_px.insert(frame, fit.error_px);
+                        result.sights.insert(frame, fit.sights);
+                        if keep.contains(&frame) {
+                            result.pictures.insert(frame, picture);
+                        }
                     }
                     None => result.lost.push(frame),
                 }
@@ -242,124 +256,109 @@ impl<'a> Follow<'a> {
         others.into_iter().flatten().find_map(|guess| self.fit(&guess, picture, &[3, 2, 1, 0]).filter(Fit::is_good))
     }
 
+    /// How far a camera is from a key frame's, radians and shares of the depth.
+    fn distance(&self, key: &Isometry, pose: &Isometry) -> f64 {
+        let turn = se3::rotation_angle(&(key.rotation * pose.rotation.transpose()));
+        turn + key.camera_center().distance(pose.camera_center()) / self.depth
+    }
+
     /// The nearest key frames and how much each counts, 0 … 1.
-    fn nearest(&self, pose: &Isometry) -> Vec<(&Key, f64)> {
-        let centre = pose.camera_center();
-        let mut by_distance: Vec<(f64, &Key)> = self
-            .keys
-            .iter()
-            .map(|k| {
-                let turn = se3::rotation_angle(&(k.pose.rotation * pose.rotation.transpose()));
-                (turn + k.pose.camera_center().distance(centre) / self.depth, k)
-            })
-            .collect();
-        by_distance.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.frame.cmp(&b.1.frame)));
+    fn nearest(&self, pose: &Isometry) -> Vec<(usize, f64)> {
+        let mut by_distance: Vec<(f64, usize)> =
+            self.keys.iter().enumerate().map(|(i, k)| (self.distance(&k.pose, pose), i)).collect();
+        by_distance.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         by_distance.truncate(NEAREST);
         let first = by_distance.first().map_or(0.0, |d| d.0) + 1e-3;
         by_distance.into_iter().map(|(d, k)| (k, first / (d + 1e-3))).collect()
+    }
+
+    fn loose(&self, pose: &Isometry) -> Prior {
+        Prior { pose: *pose, sigma: std::array::from_fn(|i| if i < 3 { LOOSE } else { LOOSE * self.depth }) }
     }
 
     /// Fits the pose level by level, starting from `guess`; levels count from the finest of the picture.
     fn fit(&self, guess: &Isometry, picture: &Picture, levels: &[usize]) -> Option<Fit> {
         let mut pose = *guess;
         let keys = self.nearest(guess);
-        let marks: Vec<(&Key, &Mark, f64)> =
-            keys.iter().flat_map(|(key, weight)| key.marks.iter().map(move |m| (*key, m, *weight))).collect();
-        let sigma = std::array::from_fn(|i| if i < 3 { LOOSE } else { LOOSE * self.depth });
-        let prior = Prior { pose: *guess, sigma };
+        let marks: Vec<(usize, usize, f64)> = keys
+            .iter()
+            .flat_map(|&(key, weight)| (0..self.keys[key].marks.len()).map(move |mark| (key, mark, weight)))
+            .collect();
+        let prior = self.loose(guess);
         let mut fit = None;
         for &level in levels {
             let scale = f64::from(1u32 << level);
-            let found: Vec<Option<(DVec3, DVec2, f64)>> = marks
+            let found: Vec<Option<(Sight, DVec3, DVec2, f64)>> = marks
                 .par_iter()
                 .with_min_len(16)
-                .map(|(key, mark, weight)| {
+                .map(|&(key, index, weight)| {
+                    let mark = &self.keys[key].marks[index];
                     let patch = mark.patches.get(level)?;
-                    let (at, warp) = expected(&self.lens, &key.pose, &pose, mark.pixel, mark.point)?;
+                    let (at, warp) = expected(&self.lens, &self.keys[key].pose, &pose, mark.pixel, mark.point)?;
                     let m = patch.find(picture, at, warp)?;
                     let near = m.centre.distance(at) <= 8.0 * scale;
+                    let sight = Sight { key: key as u16, mark: index as u16, pixel: m.centre.as_vec2().to_array() };
                     (m.similarity >= SAME && near).then_some((
+                        sight,
                         mark.point,
                         m.centre,
                         SIGMA_PX * scale / weight.max(1e-3).sqrt(),
                     ))
                 })
                 .collect();
-            let found: Vec<(DVec3, DVec2, f64)> = found.into_iter().flatten().collect();
+            let found: Vec<(Sight, DVec3, DVec2, f64)> = found.into_iter().flatten().collect();
             if found.len() < 6 {
                 if level == 0 {
                     return None;
                 }
                 continue;
             }
-            let shape: Vec<DVec3> = found.iter().map(|f| f.0).collect();
-            let points: Vec<RigidPoint> =
-                found.iter().enumerate().map(|(landmark, f)| RigidPoint { landmark, sigma_px: f.2 }).collect();
-            let view = FrameView { pixels: found.iter().map(|f| f.1).collect() };
-            pose = refine_pose(&self.lens, pose, &shape, &points, &view, Some(&prior));
+            let (seen, sights) = Seen::of(found);
+            pose = seen.pose(&self.lens, pose, &prior);
             if level == 0 {
-                let mut errors: Vec<f64> = found
-                    .iter()
-                    .map(|(point, pixel, _)| self.lens.project(pose.transform_point(*point)).distance(*pixel))
-                    .collect();
+                let mut errors = seen.errors_px(&self.lens, &pose);
                 let agreeing = errors.iter().filter(|e| **e <= AGREES_PX).count();
                 let share = agreeing as f64 / marks.len().max(1) as f64;
                 let error_px = median(&mut errors)?;
-                fit = Some(Fit { pose, agreeing, share, error_px });
+                fit = Some(Fit { pose, sights, agreeing, share, error_px });
             }
         }
         fit
     }
 
-    /// Drops poses that stand out from their neighbours in time.
-    fn drop_outliers(&self, placed: &BTreeMap<u32, Isometry>, result: &mut Followed) {
-        let mut all = placed.clone();
-        all.extend(result.poses.iter().map(|(f, p)| (*f, *p)));
-        let focal = 0.5 * (self.lens.fx + self.lens.fy);
-        let off = |frame: u32| {
-            let (a, b) = (all.get(&frame.checked_sub(1)?)?, all.get(&(frame + 1))?);
-            let (t0, t1, t2) = (self.secs(frame - 1), self.secs(frame), self.secs(frame + 1));
-            let share = if t2 > t0 { (t1 - t0) / (t2 - t0) } else { 0.5 };
-            let half = se3::log(&b.compose(&a.inverse())).to_array().map(|v| v * share);
-            let expected = se3::exp(Twist::from_array(half)).compose(a);
-            let twist = se3::log(&all[&frame].compose(&expected.inverse()));
-            // A turn moves the picture, a shift moves what is near.
-            Some(focal * (twist.rotation.length() + twist.translation.length() / self.depth))
-        };
-        let distances: BTreeMap<u32, f64> = result.poses.keys().filter_map(|&f| Some((f, off(f)?))).collect();
-        let Some(usual) = median(&mut distances.values().copied().collect::<Vec<_>>()) else { return };
-        let limit = (OUTLIER * usual).max(OUTLIER_PX);
-        let usual_error = median(&mut result.errors_px.values().copied().collect::<Vec<_>>()).unwrap_or(0.0);
-        for (&frame, &distance) in &distances {
-            // The neighbours of a wild frame look wild too: only the worst of three goes.
-            let worst =
-                [frame.wrapping_sub(1), frame + 1].iter().all(|f| distances.get(f).is_none_or(|d| *d <= distance));
-            // On both sides of a cut the pictures fit their poses.
-            let fits = result.errors_px.get(&frame).is_some_and(|e| *e <= MISFIT * usual_error);
-            if distance > limit && worst && !fits {
-                result.poses.remove(&frame);
-                result.errors_px.remove(&frame);
-                result.dropped.push(frame);
-            }
+    /// Indices of the key frames nearest to a pose.
+    pub(crate) fn nearest_keys(&self, pose: &Isometry) -> Vec<u32> {
+        self.nearest(pose).into_iter().map(|(key, _)| self.keys[key].frame).collect()
+    }
+}
+
+/// Points and where they were seen in one frame.
+struct Seen {
+    shape: Vec<DVec3>,
+    points: Vec<RigidPoint>,
+    view: FrameView,
+}
+
+impl Seen {
+    fn of(found: impl IntoIterator<Item = (Sight, DVec3, DVec2, f64)>) -> (Self, Vec<Sight>) {
+        let mut seen = Self { shape: Vec::new(), points: Vec::new(), view: FrameView { pixels: Vec::new() } };
+        let mut sights = Vec::new();
+        for (landmark, (sight, point, pixel, sigma_px)) in found.into_iter().enumerate() {
+            seen.shape.push(point);
+            seen.points.push(RigidPoint { landmark, sigma_px });
+            seen.view.pixels.push(pixel);
+            sights.push(sight);
         }
-        result.cuts = self.cuts(&all, usual);
+        (seen, sights)
     }
 
-    /// Frames that the camera cannot have reached from the frame before.
-    fn cuts(&self, all: &BTreeMap<u32, Isometry>, usual: f64) -> Vec<u32> {
-        let focal = 0.5 * (self.lens.fx + self.lens.fy);
-        let steps: Vec<(u32, f64)> = all
-            .iter()
-            .zip(all.iter().skip(1))
-            .filter(|((a, _), (b, _))| **b == **a + 1)
-            .map(|((_, a), (b, pose))| {
-                let twist = se3::log(&pose.compose(&a.inverse()));
-                (*b, focal * (twist.rotation.length() + twist.translation.length() / self.depth))
-            })
-            .collect();
-        let Some(step) = median(&mut steps.iter().map(|s| s.1).collect::<Vec<_>>()) else { return Vec::new() };
-        let limit = (CUT * step).max(OUTLIER * usual).max(CUT_PX);
-        steps.into_iter().filter(|s| s.1 > limit).map(|s| s.0).collect()
+    fn pose(&self, lens: &Intrinsics, start: Isometry, prior: &Prior) -> Isometry {
+        refine_pose(lens, start, &self.shape, &self.points, &self.view, Some(prior))
+    }
+
+    fn errors_px(&self, lens: &Intrinsics, pose: &Isometry) -> Vec<f64> {
+        let error = |(point, pixel): (&DVec3, &DVec2)| lens.project(pose.transform_point(*point)).distance(*pixel);
+        self.shape.iter().zip(&self.view.pixels).map(error).collect()
     }
 }
 

@@ -16,11 +16,14 @@ mod follow;
 pub mod head;
 pub mod interpolate;
 mod join;
+mod joint;
 pub mod keyframes;
+pub mod keys;
 pub mod mask;
 pub mod model;
 mod patch;
 mod picture;
+mod program;
 mod quality;
 mod refine;
 mod sharpen;
@@ -43,9 +46,10 @@ use risorius_formats::pose_report::{PoseMethod, PoseReport};
 use risorius_formats::{Reporter, Silent, Take, Track, Warning, atomic, colmap as colmap_format};
 
 use self::auto::Choice;
-use self::colmap::{ColmapOptions, Keys};
+use self::colmap::ColmapOptions;
 use self::depths::Head;
 use self::head::HeadOptions;
+use self::keys::Keys;
 use self::model::TakeModel;
 use self::picture::Picture;
 use self::sketch::Shown;
@@ -256,11 +260,11 @@ fn place(take: &Take, track: &Track, options: &PosesOptions, folder: &Path, repo
         Source::Colmap(colmap_options) => {
             let final_log = take.dir.join("poses").join("colmap.log");
             colmap::look_for(colmap_options, &folder.join("colmap.log"), &final_log, reporter)?;
-            let keys = colmap::read_keys(take, track, colmap_options, reporter)?;
+            let keys = keys::read(take, track, colmap_options, reporter)?;
             place_by_colmap(take, options, colmap_options, keys, folder, reporter)
         }
         Source::Auto(colmap_options, head_options) => {
-            let keys = colmap::read_keys(take, track, colmap_options, reporter)?;
+            let keys = keys::read(take, track, colmap_options, reporter)?;
             let (choice, why) = auto::decide(&keys.pictures, &keys.outlines);
             reporter.note(&why);
             let mut placed = match choice {
@@ -272,7 +276,7 @@ fn place(take: &Take, track: &Track, options: &PosesOptions, folder: &Path, repo
         }
         Source::Head(head_options) => {
             // A take whose video is gone, or of a few frames, still has its landmarks.
-            let keys = colmap::read_keys(take, track, &ColmapOptions::default(), reporter);
+            let keys = keys::read(take, track, &ColmapOptions::default(), reporter);
             let pictures = match keys {
                 Err(TrackerError::Cancelled { doing }) => return Err(TrackerError::Cancelled { doing }),
                 keys => keys.ok().map(|k| k.pictures),

@@ -28,16 +28,18 @@ const MOST_POINTS: usize = 4000;
 /// Views that a point needs.
 const LEAST_VIEWS: usize = 3;
 /// Points that a model needs, or it is left as it is.
-const LEAST_POINTS: usize = 40;
+pub(crate) const LEAST_POINTS: usize = 40;
 /// How far from the prediction a patch may be found, pixels: in the first and the second round.
-const REACH_PX: [f64; 2] = [5.0, 2.5];
+pub(crate) const REACH_PX: [f64; 2] = [5.0, 2.5];
+/// Where a lens number was let go, patches are looked for again so many times.
+const AGAIN: usize = 1;
 /// A lens number is let go when it moves by this many deviations. Lenses are off by about 1 % of the side, rendered ones
 /// not at all: with deviations of half a pixel, 2.4 of them tell the two apart, with larger ones fewer.
 const SIGNIFICANT: f64 = 2.2;
 /// Distortions of phones and webcams: deviation of k1 and k2.
 const K1_SIGMA: f64 = 0.2;
 /// Errors that patches have in common make the noise's deviations too small by about this.
-const COMMON: f64 = 4.0;
+pub(crate) const COMMON: f64 = 4.0;
 
 /// What was done to the lens and the key frames.
 #[derive(Clone, Debug)]
@@ -49,6 +51,10 @@ pub(crate) struct Sharpened {
     pub(crate) views: usize,
     /// Deviation of the focal length over itself.
     pub(crate) focal_share: f64,
+    /// Deviations of the lens numbers, with what patches have in common.
+    pub(crate) lens_sigma: [f64; LENS],
+    /// What the pictures told of the lens.
+    pub(crate) freed: Freed,
     /// What to know.
     pub(crate) notes: Vec<String>,
 }
@@ -88,6 +94,8 @@ pub(crate) struct Known {
     pub(crate) id: u64,
     pub(crate) position: DVec3,
     pub(crate) views: Vec<(usize, DVec2)>,
+    /// Further frames that should see it, in order.
+    pub(crate) also: Vec<usize>,
 }
 
 /// Where a point is looked for.
@@ -101,6 +109,15 @@ pub(crate) struct Search {
     pub(crate) reach_px: f64,
     /// Levels that are searched before the finest, coarse to fine.
     pub(crate) coarse: &'static [usize],
+    /// Views of a point at most.
+    pub(crate) most_views: usize,
+}
+
+/// Numbers of the lens that the pictures told, besides focal length and k1.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Freed {
+    pub(crate) centre: bool,
+    pub(crate) k2: bool,
 }
 
 /// Refines the model by the pictures of its frames; `None` where there is too little to hold on to.
@@ -122,37 +139,40 @@ pub(crate) fn sharpen(model: &mut TakeModel, pictures: &BTreeMap<u32, Picture>) 
         points: known.iter().map(|k| k.position).collect(),
         observations: Vec::new(),
     };
-    let mut notes = Vec::new();
-    let mut outcome = None;
-    for (round, reach) in REACH_PX.into_iter().enumerate() {
-        scene.observations = find_views(
-            &scene,
-            &known,
-            &pictures,
-            Search { near_rad: NEAR_RAD, far_rad: FAR_RAD, reach_px: reach, coarse: &[] },
-        );
-        if usable(&scene) < LEAST_POINTS {
-            return None;
-        }
-        outcome = Some(if round == 0 {
-            scene.adjust(prior(&scene.lens, false, false), 0.5, 15)
-        } else {
-            settle(&mut scene, &mut notes)
-        });
+    let look = |scene: &mut Scene, reach: f64| {
+        scene.observations = find_views(scene, &known, &pictures, search(reach, MOST_VIEWS));
+        usable(scene) >= LEAST_POINTS
+    };
+    if !look(&mut scene, REACH_PX[0]) {
+        return None;
     }
-    let outcome = outcome?;
+    scene.adjust(prior(&scene.lens, Freed::default()), 0.5, 15);
+    if !look(&mut scene, REACH_PX[1]) {
+        return None;
+    }
+    let (mut outcome, mut freed) = settle(&mut scene, Freed::default());
+    for _ in 0..AGAIN {
+        // Where the lens was held wrong, views near the border were not found or left as wild: they tell the most.
+        if freed == Freed::default() || !look(&mut scene, REACH_PX[1]) {
+            break;
+        }
+        (outcome, freed) = settle(&mut scene, freed);
+    }
+    let notes = vec![lens_note(&scene.lens, &outcome, freed)];
     let sharpened = Sharpened {
         median_error_px: outcome.median_error_px,
         points: usable(&scene),
         views: scene.observations.len(),
         focal_share: COMMON * outcome.lens_sigma[0] / scene.lens.fx,
+        lens_sigma: outcome.lens_sigma.map(|s| COMMON * s),
+        freed,
         notes,
     };
     write_back(model, lens_id, &frames, &known, &scene);
     Some(sharpened)
 }
 
-fn known_points(model: &TakeModel, frames: &[u32]) -> Vec<Known> {
+pub(crate) fn known_points(model: &TakeModel, frames: &[u32]) -> Vec<Known> {
     let mut views: BTreeMap<u64, Vec<(usize, DVec2)>> = BTreeMap::new();
     for (i, frame) in frames.iter().enumerate() {
         for p in &model.frames[frame].points {
@@ -168,7 +188,9 @@ fn known_points(model: &TakeModel, frames: &[u32]) -> Vec<Known> {
     let mut known: Vec<Known> = views
         .into_iter()
         .filter(|(_, v)| v.len() >= 2)
-        .filter_map(|(id, views)| Some(Known { id, position: model.points.get(&id)?.position, views }))
+        .filter_map(|(id, views)| {
+            Some(Known { id, position: model.points.get(&id)?.position, views, also: Vec::new() })
+        })
         .collect();
     if known.len() > MOST_POINTS {
         known.sort_by_key(|k| (std::cmp::Reverse(k.views.len()), k.id));
@@ -199,13 +221,15 @@ pub(crate) fn find_views(scene: &Scene, known: &[Known], pictures: &[&Picture], 
             .filter(|&f| f != reference)
             .map(|f| (direction(f).dot(facing).clamp(-1.0, 1.0).acos(), f))
             .filter(|&(angle, f)| {
-                angle < search.near_rad || (angle < search.far_rad && k.views.binary_search_by_key(&f, |v| v.0).is_ok())
+                let matched = || k.views.binary_search_by_key(&f, |v| v.0).is_ok() || k.also.binary_search(&f).is_ok();
+                angle < search.near_rad || (angle < search.far_rad && matched())
             })
             .collect();
-        if views.len() > MOST_VIEWS {
+        let most = search.most_views;
+        if views.len() > most {
             // Evenly from the nearest to the farthest: depth needs the far ones.
             views.sort_by(|a, b| a.0.total_cmp(&b.0));
-            views = (0..MOST_VIEWS).map(|i| views[i * (views.len() - 1) / (MOST_VIEWS - 1)]).collect();
+            views = (0..most).map(|i| views[i * (views.len() - 1) / (most - 1)]).collect();
             views.dedup();
         }
         let mut found: Vec<Observation> = views
@@ -236,58 +260,58 @@ pub(crate) fn usable(scene: &Scene) -> usize {
     scene.observations.chunk_by(|a, b| a.point == b.point).count()
 }
 
-fn prior(lens: &Intrinsics, centre: bool, k2: bool) -> LensPrior {
-    let side = f64::from(lens.width.max(lens.height));
-    let centre = if centre { 0.03 * side } else { 0.0 };
-    LensPrior([0.5 * lens.fx, centre, centre, K1_SIGMA, if k2 { K1_SIGMA } else { 0.0 }])
+pub(crate) fn search(reach_px: f64, most_views: usize) -> Search {
+    Search { near_rad: NEAR_RAD, far_rad: FAR_RAD, reach_px, coarse: &[], most_views }
 }
 
-/// The last adjustment: wild views leave, and the lens gets the numbers that the pictures can tell.
-fn settle(scene: &mut Scene, notes: &mut Vec<String>) -> Outcome {
-    let first = scene.adjust(prior(&scene.lens, false, false), 0.3, 15);
+pub(crate) fn prior(lens: &Intrinsics, freed: Freed) -> LensPrior {
+    let side = f64::from(lens.width.max(lens.height));
+    let centre = if freed.centre { 0.03 * side } else { 0.0 };
+    LensPrior([0.5 * lens.fx, centre, centre, K1_SIGMA, if freed.k2 { K1_SIGMA } else { 0.0 }])
+}
+
+/// The last adjustment: wild views leave, and the lens gets the numbers that the pictures can tell, besides those that
+/// they told before.
+pub(crate) fn settle(scene: &mut Scene, freed: Freed) -> (Outcome, Freed) {
+    let mut freed = freed;
+    let first = scene.adjust(prior(&scene.lens, freed), 0.3, 15);
     let limit = (6.0 * first.median_error_px).max(0.5);
     drop_beyond(scene, limit);
     // The median length of a 2-D normal deviate is 1.18 σ.
     let sigma = (first.median_error_px / 1.18).max(0.03);
-    let mut best = scene.adjust(prior(&scene.lens, false, false), sigma, 15);
-    let (mut centre, mut k2) = (false, false);
-    for what in ["centre", "k2"] {
+    let mut best = scene.adjust(prior(&scene.lens, freed), sigma, 15);
+    for what in [Freed { centre: true, k2: false }, Freed { centre: false, k2: true }] {
+        let trial_freed = Freed { centre: freed.centre || what.centre, k2: freed.k2 || what.k2 };
+        if trial_freed == freed {
+            continue;
+        }
         let mut trial = scene.clone();
-        let (try_centre, try_k2) = (centre || what == "centre", k2 || what == "k2");
-        let outcome = trial.adjust(prior(&scene.lens, try_centre, try_k2), sigma, 20);
-        let moved = if what == "centre" {
-            let off = |now: f64, was: f64, s: f64| (now - was).abs() / (COMMON * s);
-            off(trial.lens.cx, scene.lens.cx, outcome.lens_sigma[1]).max(off(
-                trial.lens.cy,
-                scene.lens.cy,
-                outcome.lens_sigma[2],
-            ))
-        } else {
-            (trial.lens.distortion.radial[1] - scene.lens.distortion.radial[1]).abs() / (COMMON * outcome.lens_sigma[4])
-        };
+        let outcome = trial.adjust(prior(&scene.lens, trial_freed), sigma, 20);
+        let (now, was) = (numbers(&trial.lens), numbers(&scene.lens));
+        let moved = |k: usize| (now[k] - was[k]).abs() / (COMMON * outcome.lens_sigma[k]);
+        let moved = if what.centre { moved(1).max(moved(2)) } else { moved(4) };
         if moved > SIGNIFICANT && outcome.loss < best.loss {
             *scene = trial;
             best = outcome;
-            (centre, k2) = (try_centre, try_k2);
+            freed = trial_freed;
         }
     }
-    notes.push(lens_note(&scene.lens, &best, centre, k2));
-    best
+    (best, freed)
 }
 
-fn numbers(lens: &Intrinsics) -> [f64; LENS] {
+pub(crate) fn numbers(lens: &Intrinsics) -> [f64; LENS] {
     [lens.fx, lens.cx, lens.cy, lens.distortion.radial[0], lens.distortion.radial[1]]
 }
 
-fn lens_note(lens: &Intrinsics, outcome: &Outcome, centre: bool, k2: bool) -> String {
+pub(crate) fn lens_note(lens: &Intrinsics, outcome: &Outcome, freed: Freed) -> String {
     let [focal, cx, cy, k1, second] = numbers(lens);
     let sigma = outcome.lens_sigma.map(|s| COMMON * s);
-    let centre = if centre {
+    let centre = if freed.centre {
         format!("principal point ({cx:.1} ± {:.1}, {cy:.1} ± {:.1}) from the pictures", sigma[1], sigma[2])
     } else {
         "principal point in the middle: the pictures do not contradict".to_owned()
     };
-    let second = if k2 { format!(", k2 {second:.4}") } else { String::new() };
+    let second = if freed.k2 { format!(", k2 {second:.4}") } else { String::new() };
     format!("focal length {focal:.1} ± {:.1} px, {centre}, k1 {k1:.4} ± {:.4}{second}", sigma[0], sigma[3])
 }
 

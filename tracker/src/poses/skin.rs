@@ -4,7 +4,7 @@
 //! Landmarks of a network scatter by a pixel or two and lean with the view; skin found by its grey values does neither.
 //! What moves with the expression is an outlier to the rest of the face: mouth and eyes are left out from the start.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -29,9 +29,9 @@ const STRONG: f32 = 60.0;
 const LEAST_POINTS: usize = 40;
 /// Rounds: the first look far, since the landmarks' poses are a degree or two off.
 const ROUNDS: [Search; 3] = [
-    Search { near_rad: 0.35, far_rad: 0.35, reach_px: 14.0, coarse: &[2, 1] },
-    Search { near_rad: 0.5, far_rad: 0.5, reach_px: 6.0, coarse: &[1] },
-    Search { near_rad: 0.6, far_rad: 0.6, reach_px: 3.0, coarse: &[] },
+    Search { near_rad: 0.35, far_rad: 0.35, reach_px: 14.0, coarse: &[2, 1], most_views: 32 },
+    Search { near_rad: 0.5, far_rad: 0.5, reach_px: 6.0, coarse: &[1], most_views: 32 },
+    Search { near_rad: 0.6, far_rad: 0.6, reach_px: 3.0, coarse: &[], most_views: 32 },
 ];
 
 /// What the skin said.
@@ -71,7 +71,7 @@ pub(crate) fn refine(
     let mut known = Vec::new();
     for (i, places) in places.iter().enumerate() {
         for &(pixel, position) in places {
-            known.push(Known { id: known.len() as u64 + 1, position, views: vec![(i, pixel)] });
+            known.push(Known { id: known.len() as u64 + 1, position, views: vec![(i, pixel)], also: Vec::new() });
         }
     }
     let mut scene = Scene {
@@ -104,7 +104,8 @@ pub(crate) fn refine(
     };
     write_back(&mut model, 1, &frames, &known, &scene);
     let Some(follow) = Follow::new(&model, pictures, &take.frames, |_, _| false) else { return Ok(None) };
-    let Followed { poses: mut found, .. } = follow.run(&model.poses(), &take.media_path(), reporter)?;
+    let Followed { poses: mut found, .. } =
+        follow.run(&model.poses(), &take.media_path(), &BTreeSet::new(), reporter)?;
     // Where the tracker saw no face there is none.
     found.retain(|f, _| poses.contains_key(f));
     found.extend(model.poses());
