@@ -26,6 +26,8 @@ pub struct Shown {
     pub color: [f32; 3],
     /// How much of what lies behind everything shows.
     pub left: f32,
+    /// The head alone: its colour times its opacity, then its opacity, 0–1.
+    pub head: [f32; 4],
     /// Masks of the regions.
     pub masks: [f32; MASKS],
     /// Mean distance of the head along the ray, world units; 0 where it is not met.
@@ -133,10 +135,11 @@ impl<'a> Face<'a> {
         };
         rays.forward(model, &deformation, None, origin, directions, || 0.5, look);
         for r in 0..directions.len() {
-            let [sum, weight] = rays.depth[r];
+            let ([sum, weight], [red, green, blue]) = (rays.depth[r], rays.head_color[r]);
             let shown = Shown {
                 color: rays.color[r],
                 left: rays.left[r],
+                head: [red, green, blue, weight],
                 masks: rays.masks[r],
                 depth: if weight > 0.5 { sum / weight } else { 0.0 },
                 touched: rays.touched[r],
@@ -255,10 +258,11 @@ impl<'a> BakedFace<'a> {
         let marches: Vec<March> = directions.iter().map(march).collect();
         let head = self.head.send(&model.head, &marches, &[1.0; POINTS][..marches.len()], OPAQUE);
         for ((shown, crossed), through) in out.iter_mut().zip(&head) {
-            let [sum, weight] = through.depth;
+            let ([sum, weight], [red, green, blue]) = (through.depth, through.color);
             *shown = Shown {
                 color: through.color,
                 left: through.left,
+                head: [red, green, blue, weight],
                 depth: if weight > 0.5 { sum / weight * model.layout.head_box.half } else { 0.0 },
                 ..Shown::default()
             };

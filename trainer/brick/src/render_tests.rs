@@ -107,3 +107,24 @@ fn a_baked_picture_follows_an_edit() {
     baked.edit(&[0.8, -1.0]);
     assert_eq!(baked.redraw(&mut picture).len(), 0, "nothing changed");
 }
+
+#[test]
+fn the_head_alone_is_what_the_scene_shows_without_its_background() {
+    let model = soft();
+    let directions = directions();
+    let whole = Face::new(&model, &[0.4, -0.6]).render(ORIGIN, &directions);
+    let mut alone = model.clone();
+    alone.background = None;
+    let alone = Face::new(&alone, &[0.4, -0.6]).render(ORIGIN, &directions);
+    let mut soft = 0;
+    for (whole, alone) in whole.iter().zip(&alone) {
+        let [red, green, blue, opacity] = whole.head;
+        assert_eq!(whole.head, alone.head);
+        assert_eq!([red, green, blue], alone.color);
+        assert!((1.0 - opacity - alone.left).abs() < 1e-4, "{opacity} {}", alone.left);
+        // Premultiplied: a colour is never stronger than its opacity.
+        assert!([red, green, blue].iter().all(|&c| c <= opacity + 1e-4));
+        soft += usize::from((0.05..0.95).contains(&opacity));
+    }
+    assert!(soft > 0, "no ray is half opaque");
+}
