@@ -85,8 +85,7 @@ mod tests {
     #[test]
     fn enlarging_darkens_no_edge() {
         // Red beside nothing: what is half transparent in between stays red.
-        let head: Vec<[f32; 4]> =
-            (0..64).map(|i| if i % 8 < 4 { [1.0, 0.0, 0.0, 1.0] } else { [0.0; 4] }).collect();
+        let head: Vec<[f32; 4]> = (0..64).map(|i| if i % 8 < 4 { [1.0, 0.0, 0.0, 1.0] } else { [0.0; 4] }).collect();
         let large = straight(&head, (8, 8), (32, 32));
         let soft: Vec<_> = large.pixels().filter(|p| (30..226).contains(&p.0[3])).collect();
         assert!(!soft.is_empty() && soft.iter().all(|p| p.0[0] == 255 && p.0[1] == 0), "{soft:?}");

@@ -1,7 +1,10 @@
 //! Pictures of a fitted avatar.
 
+mod faint;
+
 use rayon::prelude::*;
 
+pub use self::faint::NOTHING;
 use crate::bake::{Baked, Crossed};
 use crate::evaluate::Deformation;
 use crate::expression::{CHANNELS, MASKS};
@@ -97,11 +100,18 @@ impl<'a> Face<'a> {
 
     /// What rays from `origin` along `directions` (unit, world) show, in parallel.
     pub fn render(&self, origin: [f32; 3], directions: &[[f32; 3]]) -> Vec<Shown> {
+        let mut shown = self.render_with(&self.blend, origin, directions);
+        self.hush(origin, directions, &mut shown);
+        shown
+    }
+
+    /// The same by another B, as its rays come.
+    fn render_with(&self, blend: &[f32], origin: [f32; 3], directions: &[[f32; 3]]) -> Vec<Shown> {
         let mut out = vec![Shown::default(); directions.len()];
         out.par_chunks_mut(CHUNK).zip(directions.par_chunks(CHUNK)).for_each_init(
             Rays::default,
             |rays, (out, directions)| {
-                self.send(rays, origin, directions, |i, shown| out[i] = shown);
+                self.send(rays, blend, origin, directions, |i, shown| out[i] = shown);
             },
         );
         out
@@ -123,9 +133,16 @@ impl<'a> Face<'a> {
         deformation(self.model, &self.blend, &self.gates, Some(&self.latent))
     }
 
-    fn send(&self, rays: &mut Rays, origin: [f32; 3], directions: &[[f32; 3]], mut show: impl FnMut(usize, Shown)) {
+    fn send(
+        &self,
+        rays: &mut Rays,
+        blend: &[f32],
+        origin: [f32; 3],
+        directions: &[[f32; 3]],
+        mut show: impl FnMut(usize, Shown),
+    ) {
         let model = self.model;
-        let deformation = self.deformation();
+        let deformation = deformation(model, blend, &self.gates, Some(&self.latent));
         let look = Look {
             divisions: model.divisions,
             planes: model.planes,
