@@ -120,8 +120,7 @@ pub fn export(
     let kept: Vec<Option<Vec<[usize; 3]>>> = match settings.kind {
         ExportKind::Points => vec![None; count],
         ExportKind::Mesh => {
-            let sheets: Vec<Sheet<'_>> =
-                views.iter().map(|v| Sheet { camera: &v.camera, depth: &v.rest.depth }).collect();
+            let sheets: Vec<Sheet<'_>> = views.iter().map(|v| Sheet::new(&v.camera, &v.rest.depth)).collect();
             (0..count).map(|own| Some(sheets::triangles(&sheets, own))).collect()
         }
     };

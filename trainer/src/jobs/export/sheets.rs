@@ -1,29 +1,41 @@
 //! One surface from several views.
 //!
-//! A view's depth map is a sheet of triangles. Where it is seen at a slant its few pixels are stretched over much surface,
-//! and across an edge over none at all: from aside that smears. So a piece of the surface is taken from the first view
-//! that looks at it well enough, else from the one that looks at it best, and slanted sheets are cut.
+//! A view's depth map is a sheet of triangles. Where it is seen at a slant its few pixels are stretched over much surface:
+//! from aside that smears. So a piece of the surface is taken from the first view that looks at it well enough, else from
+//! the one that looks at it best.
 
 use glam::{DVec2, DVec3};
 use risorius_formats::Camera;
 
-/// Cosine of the angle between a triangle's normal and the ray to it: what is seen at less is a sheet across an edge.
-const CUT: f64 = 0.15;
-/// From here on an earlier view is good enough for those after it …
-const GOOD: f64 = 0.55;
+/// Neighbours whose depths differ by more than this share are not joined.
+const EDGE: f32 = 0.03;
+/// How far apart the pixels are whose depths tell the surface's slant: depths have steps.
+const REACH: usize = 4;
+/// Cosine of the slant from which on an earlier view is good enough for those after it …
+const GOOD: f64 = 0.6;
 /// … which it need not be for itself: sheets overlap a little rather than gape.
 const GOOD_FOR_ITSELF: f64 = 0.5;
+/// How much better another view has to look at a piece to have it alone.
+const BETTER: f64 = 1.25;
 /// Two views see the same surface where their distances to it differ by less than this share.
 const SAME: f64 = 0.02;
 
 /// What a view saw of the head.
 pub(super) struct Sheet<'a> {
-    pub(super) camera: &'a Camera,
+    camera: &'a Camera,
     /// Distance along each pixel's ray; 0 where there is no head.
-    pub(super) depth: &'a [f32],
+    depth: &'a [f32],
+    /// Cosine of the angle between ray and surface at each pixel.
+    facing: Vec<f64>,
 }
 
-impl Sheet<'_> {
+impl<'a> Sheet<'a> {
+    pub(super) fn new(camera: &'a Camera, depth: &'a [f32]) -> Self {
+        let mut sheet = Self { camera, depth, facing: Vec::new() };
+        sheet.facing = (0..depth.len()).map(|i| sheet.slant(i).unwrap_or(0.0)).collect();
+        sheet
+    }
+
     fn width(&self) -> usize {
         self.camera.intrinsics.width as usize
     }
@@ -35,18 +47,48 @@ impl Sheet<'_> {
         (depth > 0.0).then(|| self.camera.center() + direction * depth)
     }
 
+    /// Whether pixels belong to one surface.
+    fn joined(&self, a: usize, b: usize) -> bool {
+        let (a, b) = (self.depth[a], self.depth[b]);
+        a > 0.0 && b > 0.0 && (a - b).abs() <= EDGE * a.min(b)
+    }
+
+    /// The way from a pixel's farthest joined neighbour on one side to that on the other, at most `REACH` steps each.
+    fn across(&self, pixel: usize, stride: usize, before: usize, after: usize) -> Option<DVec3> {
+        let walk = |most: usize, next: &dyn Fn(usize) -> usize| {
+            let mut at = pixel;
+            for _ in 0..most.min(REACH) {
+                if !self.joined(at, next(at)) {
+                    break;
+                }
+                at = next(at);
+            }
+            at
+        };
+        let (low, high) = (walk(before, &|i| i - stride), walk(after, &|i| i + stride));
+        if low == high { None } else { Some(self.point(high)? - self.point(low)?) }
+    }
+
+    fn slant(&self, pixel: usize) -> Option<f64> {
+        let (width, height) = (self.width(), self.depth.len() / self.width());
+        let (x, y) = (pixel % width, pixel / width);
+        let right = self.across(pixel, 1, x, width - 1 - x)?;
+        let down = self.across(pixel, width, y, height - 1 - y)?;
+        let normal = right.cross(down).try_normalize()?;
+        Some((self.point(pixel)? - self.camera.center()).normalize().dot(normal).abs())
+    }
+
     /// How straight the view looks at a piece of surface; `None` where it does not see it.
-    fn facing(&self, point: DVec3, normal: DVec3) -> Option<f64> {
+    fn sees(&self, point: DVec3) -> Option<f64> {
         if self.camera.camera_from_world.transform_point(point).z <= 0.0 {
             return None;
         }
         let pixel = self.camera.project(point);
         let (width, height) = (self.width(), self.depth.len() / self.width());
         let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width as f64 && pixel.y < height as f64;
-        let there = inside.then(|| f64::from(self.depth[pixel.y as usize * width + pixel.x as usize]))?;
-        let away = point - self.camera.center();
-        let distance = away.length();
-        (there > 0.0 && (there - distance).abs() < SAME * distance).then(|| (away.dot(normal) / distance).abs())
+        let at = inside.then(|| pixel.y as usize * width + pixel.x as usize)?;
+        let (there, distance) = (f64::from(self.depth[at]), (point - self.camera.center()).length());
+        (there > 0.0 && (there - distance).abs() < SAME * distance).then(|| self.facing[at])
     }
 }
 
@@ -54,24 +96,24 @@ impl Sheet<'_> {
 pub(super) fn triangles(sheets: &[Sheet<'_>], own: usize) -> Vec<[usize; 3]> {
     let sheet = &sheets[own];
     let width = sheet.width();
-    let points: Vec<Option<DVec3>> = (0..sheet.depth.len()).map(|i| sheet.point(i)).collect();
     let mut kept = Vec::new();
-    for a in (0..points.len().saturating_sub(width)).filter(|a| a % width + 1 < width) {
+    for a in (0..sheet.depth.len().saturating_sub(width)).filter(|a| a % width + 1 < width) {
         let (b, c, d) = (a + 1, a + width, a + width + 1);
         for corners in [[a, c, b], [b, c, d]] {
-            let [Some(p), Some(q), Some(r)] = corners.map(|i| points[i]) else { continue };
-            let Some(normal) = (q - p).cross(r - p).try_normalize() else { continue };
+            let [p, q, r] = corners;
+            if !(sheet.joined(p, q) && sheet.joined(q, r) && sheet.joined(p, r)) {
+                continue;
+            }
+            let [Some(p), Some(q), Some(r)] = corners.map(|i| sheet.point(i)) else { continue };
             let middle = (p + q + r) / 3.0;
-            let away = middle - sheet.camera.center();
-            let facing = (away.dot(normal) / away.length()).abs();
+            let facing = corners.iter().map(|&i| sheet.facing[i]).sum::<f64>() / 3.0;
             let better = |(other, them): (usize, &Sheet<'_>)| {
-                let theirs = if other == own { None } else { them.facing(middle, normal) };
+                let theirs = if other == own { None } else { them.sees(middle) };
                 theirs.is_some_and(|theirs| {
-                    let enough = if other < own { theirs >= GOOD } else { false };
-                    enough || (facing < GOOD_FOR_ITSELF && theirs > facing * 1.1)
+                    (other < own && theirs >= GOOD) || (facing < GOOD_FOR_ITSELF && theirs > facing * BETTER)
                 })
             };
-            if facing >= CUT && !sheets.iter().enumerate().any(better) {
+            if !sheets.iter().enumerate().any(better) {
                 kept.push(corners);
             }
         }
@@ -110,7 +152,7 @@ mod tests {
         let cameras = [0.0, 0.6, -0.6].map(camera);
         let depths = cameras.each_ref().map(ball);
         let sheets: Vec<Sheet<'_>> =
-            cameras.iter().zip(&depths).map(|(camera, depth)| Sheet { camera, depth }).collect();
+            cameras.iter().zip(&depths).map(|(camera, depth)| Sheet::new(camera, depth)).collect();
         let area = |sheet: &Sheet<'_>, triangles: &[[usize; 3]]| -> f64 {
             let corner = |i: usize| sheet.point(i).unwrap();
             triangles
@@ -146,7 +188,7 @@ mod tests {
     fn a_sheet_across_an_edge_is_cut() {
         let camera = camera(0.0);
         let depth: Vec<f32> = (0..64 * 64).map(|i| if i % 64 < 32 { 3.0 } else { 4.0 }).collect();
-        let kept = triangles(&[Sheet { camera: &camera, depth: &depth }], 0);
+        let kept = triangles(&[Sheet::new(&camera, &depth)], 0);
         assert!(!kept.is_empty() && kept.iter().all(|t| t.iter().all(|i| (i % 64 < 32) == (t[0] % 64 < 32))));
     }
 }
