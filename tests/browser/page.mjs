@@ -57,6 +57,7 @@ async function openPage(context, url, folder, tally) {
     // The picture at one small size, whatever it was rendered at.
     small: () => page.evaluate(() => {
       const small = Object.assign(document.createElement("canvas"), { width: 48, height: 80 }).getContext("2d");
+      small.imageSmoothingQuality = "high";
       small.drawImage(document.getElementById("picture"), 0, 0, 48, 80);
       return Array.from(small.getImageData(0, 0, 48, 80).data);
     }),

@@ -93,7 +93,9 @@ impl Face<'_> {
         let mut stale = vec![false; expression.lattice.slots];
         for (n, slots) in expression.slots_of.iter().enumerate().filter(|(n, _)| left_out(*n)) {
             debug_assert!(n < REST, "the rest is never left out");
-            slots.iter().for_each(|&slot| stale[slot as usize] = true);
+            for &slot in slots {
+                stale[slot as usize] = true;
+            }
         }
         let mut blend = self.blend.clone();
         blend
