@@ -1,51 +1,13 @@
 // Drives the page of `trainer view` in a real browser, as a person would, and fails where it does not follow.
 //
 // usage: node view.mjs URL [FOLDER]      FOLDER gets screenshots
-// Needs playwright-core (npm) where node finds it, and Chromium: $CHROMIUM, else /usr/bin/chromium.
 
-import { mkdirSync } from "node:fs";
-import { createRequire } from "node:module";
+import { inBrowser } from "./page.mjs";
 
-const { chromium } = createRequire(process.env.PLAYWRIGHT_FROM ?? import.meta.url)("playwright-core");
 const [url, folder] = process.argv.slice(2);
-if (folder) mkdirSync(folder, { recursive: true });
 
-const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: ["--no-sandbox"] });
-const context = await browser.newContext({ viewport: { width: 1280, height: 860 } });
-const page = await context.newPage();
-const problems = [];
-page.on("console", (m) => m.type() === "error" && problems.push(m.text()));
-page.on("pageerror", (e) => problems.push(String(e)));
-page.on("request", (r) => r.url().startsWith(new URL(url).origin) || r.url().startsWith("blob:") || problems.push(`asks elsewhere: ${r.url()}`));
-
-let checks = 0;
-function check(holds, what) {
-  checks += 1;
-  if (!holds) throw new Error(what);
-}
-const view = () => page.evaluate(() => ({ ...window.risorius.state, pictures: window.risorius.picture.pictures, settled: window.risorius.picture.settled, canvas: [document.getElementById("picture").width, document.getElementById("picture").height] }));
-// Until a full-size picture of the present state is there.
-async function settle() {
-  await page.waitForFunction(() => {
-    const { picture, state } = window.risorius;
-    if (!picture.settled || picture.busy || picture.dirty) return false;
-    const asked = JSON.parse(picture.settled);
-    return asked.scale === 1 && asked.overlay === state.overlay && JSON.stringify(asked.orbit) === JSON.stringify(state.orbit) && JSON.stringify(asked.aus) === JSON.stringify(state.aus);
-  }, null, { timeout: 120000 });
-}
-const pixels = () => page.evaluate(() => { const c = document.getElementById("picture"); return Array.from(c.getContext("2d").getImageData(0, 0, c.width, c.height).data); });
-async function changedShare(before) {
-  const now = await pixels();
-  check(now.length === before.length, "the picture has another size");
-  let changed = 0;
-  for (let i = 0; i < now.length; i += 4) if (Math.abs(now[i] - before[i]) + Math.abs(now[i + 1] - before[i + 1]) + Math.abs(now[i + 2] - before[i + 2]) > 6) changed += 1;
-  return (4 * changed) / now.length;
-}
-const shot = (name) => (folder ? page.screenshot({ path: `${folder}/${name}.png` }) : null);
-
-try {
-  await page.goto(url);
-  await page.waitForFunction(() => window.risorius, null, { timeout: 60000 });
+await inBrowser(folder, async (open) => {
+  const { page, problems, check, view, settle, pixels, changedShare, shot } = await open(url);
   await settle();
   const { info } = await page.evaluate(() => ({ info: window.risorius.info }));
   const first = await view();
@@ -179,11 +141,5 @@ try {
   const nameless = await page.evaluate(() => [...document.querySelectorAll("button, input, select")].filter((e) => !(e.getAttribute("aria-label") || e.textContent.trim() || e.closest("label"))).map((e) => e.outerHTML));
   check(nameless.length === 0, `controls without a name: ${nameless}`);
   check(problems.length === 0, `the page complains: ${problems.join("; ")}`);
-  console.log(JSON.stringify({ checks, full: [info.width, info.height], turning, editing, playing }));
-} catch (error) {
-  await shot("failed");
-  console.error(`after ${checks} checks: ${error.message}${problems.length ? `; the page says: ${problems.join("; ")}` : ""}`);
-  process.exitCode = 1;
-} finally {
-  await browser.close();
-}
+  return { full: [info.width, info.height], turning, editing, playing };
+});

@@ -131,6 +131,7 @@ fn a_path_renders_resumes_and_refuses_another_list() {
     assert_eq!(picture.color(), image::ColorType::Rgba8);
     let alpha: Vec<u8> = picture.into_rgba8().pixels().map(|p| p.0[3]).collect();
     assert!(alpha.contains(&0) && alpha.contains(&255), "head and background");
+    assert!(alpha.iter().any(|a| (20..235).contains(a)), "the edge is soft");
     let before = std::fs::read(Path::new(out).join("003.png")).unwrap();
     std::fs::remove_file(Path::new(out).join("003.png")).unwrap();
     let again = json(&succeed("trainer", &[&args[..], &["--resume"]].concat()));
@@ -362,28 +363,40 @@ fn the_viewer_answers_its_own_page_only() {
     assert!(out.join("002.png").is_file());
 }
 
-#[test]
-fn the_page_works_in_a_browser_with_mouse_and_keys() {
-    let Some(packages) = npm_package("playwright-core") else { return };
+/// Runs a script of `browser/` in a real browser and gives the number of its checks; `None` where there is no browser.
+fn in_a_browser(script: &str, args: &[&str]) -> Option<u64> {
+    let packages = npm_package("playwright-core")?;
     let chromium = std::env::var("CHROMIUM").unwrap_or_else(|_| "/usr/bin/chromium".to_owned());
     if !Path::new(&chromium).is_file() {
         eprintln!("SKIPPED: no browser at {chromium} (CHROMIUM names another)");
-        return;
+        return None;
     }
-    let made = made();
-    let viewer = Viewer::start(&made.own_run());
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("browser/view.mjs");
     let output = Command::new("node")
-        .arg(script)
-        .arg(&viewer.url)
+        .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("browser").join(script))
+        .args(args)
         .env("CHROMIUM", chromium)
         .env("PLAYWRIGHT_FROM", packages.join("package.json"))
         .output()
         .unwrap();
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{said}");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let result = json(&String::from_utf8_lossy(&output.stdout));
-    assert!(result["checks"].as_u64().unwrap() > 25, "{result}");
+    Some(result["checks"].as_u64().unwrap_or_else(|| panic!("{result}")))
+}
+
+#[test]
+fn the_page_works_in_a_browser_with_mouse_and_keys() {
+    let made = made();
+    let viewer = Viewer::start(&made.own_run());
+    let checks = in_a_browser("view.mjs", &[&viewer.url]);
+    assert!(checks.is_none_or(|n| n > 25), "{checks:?}");
+}
+
+#[test]
+fn the_page_follows_a_live_face_in_a_browser() {
+    let made = made();
+    let trainer = binary("trainer");
+    let checks = in_a_browser("live.mjs", &[text(&trainer), text(&made.own_run())]);
+    assert!(checks.is_none_or(|n| n > 25), "{checks:?}");
 }
 
 #[test]

@@ -22,6 +22,7 @@ use crate::hull::Outline;
 use crate::model::{ConfiesModel, Level, RayCodes, Uncertain, Windows};
 use crate::sampling;
 use crate::saved::{SavedConfies, SavedField, SavedModel};
+use crate::space::NetSpace;
 use crate::studio::{Look, Studio};
 use crate::volume;
 
@@ -39,6 +40,8 @@ pub struct Render {
     pub masks: Vec<Vec<f32>>,
     /// Expected depth along the ray, world units; 0 where nothing was fitted.
     pub depth: Vec<f32>,
+    /// The head alone, where the look asks for it: colour times opacity, then opacity, 0–1. See [`crate::cutout`].
+    pub head: Vec<[f32; 4]>,
 }
 
 /// A fitted avatar.
@@ -161,12 +164,17 @@ impl Avatar {
         &self,
         camera: &Camera,
         attributes: &[f32],
+        cutout: bool,
         reporter: &dyn Reporter,
     ) -> Result<Option<Render>> {
         let Fitted::Confies { saved, model, device } = &self.field else { return Ok(None) };
         let mut picture = Render::empty(camera, self.saved.table.regions.len());
-        let networks = Networks { saved, model, device };
+        let behind = self.behind_head(&saved.space, camera);
+        let networks = Networks { saved, model, device, behind };
         let codes = networks.codes(self.saved.neutral_frame, attributes);
+        if cutout {
+            picture.head = vec![[0.0; 4]; picture.depth.len()];
+        }
         networks.render(camera, &codes, &self.wanted(camera), &mut picture, reporter)?;
         Ok(Some(picture))
     }
@@ -176,9 +184,18 @@ impl Avatar {
     pub fn render_between(&self, camera: &Camera, between: Between, reporter: &dyn Reporter) -> Result<Option<Render>> {
         let Fitted::Confies { saved, model, device } = &self.field else { return Ok(None) };
         let mut picture = Render::empty(camera, self.saved.table.regions.len());
-        let networks = Networks { saved, model, device };
+        let behind = self.behind_head(&saved.space, camera);
+        let networks = Networks { saved, model, device, behind };
         networks.render(camera, &networks.codes_between(between), &self.wanted(camera), &mut picture, reporter)?;
         Ok(Some(picture))
+    }
+
+    /// How far from a camera the head ends, in the networks' units: where it was fitted alone, its hull does, else all
+    /// that was fitted.
+    fn behind_head(&self, space: &NetSpace, camera: &Camera) -> f32 {
+        let hull = self.saved.head_hull_in_world.iter().flatten();
+        let farthest = hull.map(|corner| (*corner - camera.center()).length() * space.scale).reduce(f64::max);
+        farthest.unwrap_or(space.far) as f32
     }
 
     /// Whether attributes steer it: of the models that CoNFies is compared with, some know codes only.
@@ -198,6 +215,7 @@ impl Render {
             rgb: RgbImage::from_pixel(width, height, image::Rgb(BACKDROP)),
             masks: vec![vec![0.0; count]; regions],
             depth: vec![0.0; count],
+            head: Vec::new(),
         }
     }
 }
@@ -207,6 +225,8 @@ struct Networks<'a> {
     saved: &'a SavedConfies,
     model: &'a ConfiesModel,
     device: &'a Device,
+    /// How far along a ray the head may reach.
+    behind: f32,
 }
 
 /// What is the same for all rays of a picture: ω `[1, latent]` and α `[1, K]`.
@@ -246,21 +266,24 @@ impl Networks<'_> {
             }
             let directions: Vec<Vec3> = chunk.iter().map(|(_, d)| *d).collect();
             let values = self.render_rays(origin, &directions, codes);
-            let stride = 4 + picture.masks.len();
+            let stride = 8 + picture.masks.len();
             for ((pixel, _), v) in chunk.iter().zip(values.chunks_exact(stride)) {
                 for (byte, value) in picture.rgb.as_mut()[pixel * 3..pixel * 3 + 3].iter_mut().zip(v) {
                     *byte = (value.clamp(0.0, 1.0) * 255.0).round() as u8;
                 }
                 picture.depth[*pixel] = (f64::from(v[3]) / self.saved.space.scale) as f32;
+                if let Some(head) = picture.head.get_mut(*pixel) {
+                    head.copy_from_slice(&v[4..8]);
+                }
                 for (n, mask) in picture.masks.iter_mut().enumerate() {
-                    mask[*pixel] = v[4 + n];
+                    mask[*pixel] = v[8 + n];
                 }
             }
         }
         Ok(())
     }
 
-    /// RGB, depth and region masks (0–1) of each ray: `4 + N` numbers.
+    /// RGB, depth, the head alone (RGB times opacity, opacity) and region masks (0–1) of each ray: `8 + N` numbers.
     fn render_rays(&self, origin: Vec3, directions: &[Vec3], codes: &Codes) -> Vec<f32> {
         let SavedConfies { coarse_samples, fine_samples, spacing, space, model: config, .. } = self.saved;
         let device = self.device;
@@ -301,13 +324,15 @@ impl Networks<'_> {
         let (out, weights) = evaluate(Level::Fine, &fine);
         let samples = coarse_samples + fine_samples;
         let z = rows(fine, samples, device);
-        let depth = (weights.clone() * z).sum_dim(1);
+        let depth = (weights.clone() * z.clone()).sum_dim(1);
+        let of_head = weights.clone() * z.lower_equal_elem(self.behind).float();
+        let head = volume::composite(of_head.clone(), out.color.clone());
         let color = volume::composite(weights.clone(), out.color);
         let masks = out.mask_logits.map(|logits| match self.saved.mask_rendering {
             MaskRendering::Logits => sigmoid(volume::composite(weights, logits)),
             MaskRendering::Probabilities => volume::composite(weights, sigmoid(logits)),
         });
-        let mut parts = vec![color, depth];
+        let mut parts = vec![color, depth, head, of_head.sum_dim(1)];
         parts.extend((0..self.model.region_count()).map(|n| self.region_mask(masks.as_ref(), n, r)));
         host(Tensor::cat(parts, 1))
     }

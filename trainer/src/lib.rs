@@ -15,6 +15,7 @@ pub mod brick;
 pub mod cli;
 pub mod config;
 pub mod cost;
+pub mod cutout;
 pub mod data;
 pub mod devices;
 pub mod encoding;

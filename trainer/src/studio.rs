@@ -1,11 +1,13 @@
 //! Picture after picture of one avatar, each drawn anew only where it differs from the one before.
 
+use glam::DVec2;
 use image::RgbImage;
 use risorius_brick::Skips;
 use risorius_brick::render::{BakedFace, BakedPicture, Face, Shown};
 use risorius_formats::{Camera, Reporter};
 
 use crate::avatar::{Avatar, Render, Wanted};
+use crate::cutout;
 use crate::error::Result;
 
 /// How pictures are taken.
@@ -17,6 +19,8 @@ pub struct Look {
     pub baked: bool,
     /// Whether views finer than the fitted images are rendered pixel by pixel, rather than enlarged.
     pub full: bool,
+    /// Whether renders hold the head alone besides: colours and opacity, with several rays per pixel on its edges.
+    pub cutout: bool,
 }
 
 /// A camera at work.
@@ -72,10 +76,13 @@ impl<'a> Studio<'a> {
 
     /// Renders `camera` with the attributes (K of them), every pixel.
     pub fn render(&mut self, camera: &Camera, attributes: &[f32], reporter: &dyn Reporter) -> Result<Render> {
-        if let Some(picture) = self.avatar.render_networks(camera, attributes, reporter)? {
+        if let Some(picture) = self.avatar.render_networks(camera, attributes, self.look.cutout, reporter)? {
             return Ok(picture);
         }
         self.draw(camera, attributes);
+        if self.look.cutout {
+            self.cut_out();
+        }
         let regions = self.avatar.saved.table.regions.len();
         Ok(self.last.as_ref().map_or_else(|| Render::empty(camera, regions), |last| last.render.clone()))
     }
@@ -127,6 +134,41 @@ impl<'a> Studio<'a> {
         let mut last = Last { camera: *camera, wanted, directions, picture, backdrop, render };
         last.paint(0..last.wanted.len());
         self.last = Some(last);
+    }
+
+    /// Fills `head` of the last render: from its rays, and from more of them on the edges.
+    fn cut_out(&mut self) {
+        let Some(last) = &mut self.last else { return };
+        let Last { camera, wanted, picture, render, .. } = last;
+        let (width, origin) = (camera.intrinsics.width as usize, camera.center().as_vec3().to_array());
+        let shown = match picture {
+            Picture::Direct { shown, .. } => &*shown,
+            Picture::Baked(baked) => &baked.shown,
+        };
+        render.head.clear();
+        render.head.resize(render.depth.len(), [0.0; 4]);
+        for ((pixel, _), shown) in wanted.iter().zip(shown) {
+            render.head[*pixel] = shown.head;
+        }
+        let edges = cutout::edges(&render.head, width);
+        let mut rays = Vec::new();
+        let mut directions = Vec::new();
+        for pixel in edges {
+            let middle = DVec2::new((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
+            let places = cutout::ON_EDGES.map(|offset| camera.ray_direction(middle + DVec2::from_array(offset)));
+            if let [Some(a), Some(b), Some(c), Some(d)] = places {
+                rays.push(pixel);
+                directions.extend([a, b, c, d].map(|d| d.as_vec3().to_array()));
+            }
+        }
+        let shown = match (&mut *picture, &mut self.baked) {
+            (Picture::Direct { face, .. }, _) => face.render(origin, &directions),
+            (Picture::Baked(_), Some((face, _))) => face.picture(origin, directions).shown,
+            (Picture::Baked(_), None) => return,
+        };
+        for (pixel, shown) in rays.into_iter().zip(shown.as_chunks::<{ cutout::ON_EDGES.len() }>().0) {
+            render.head[pixel] = cutout::mean(&shown.map(|s| s.head));
+        }
     }
 }
 

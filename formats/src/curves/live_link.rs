@@ -1,4 +1,5 @@
-//! Recordings of Live Link Face (`MySlate_*.csv`): ARKit's coefficients 0–1 under their names, timecode at 60 per second.
+//! Recordings of Live Link Face (`MySlate_*.csv`): ARKit's coefficients 0–1 under their names, timecode at 60 or 30 per
+//! second.
 //!
 //! An AU is the mean of its coefficients, times 5. ARKit's coefficients are shapes, not FACS intensities: the range of a
 //! person's own recording says more about it than the numbers (see `trainer transfer --range driver`).
@@ -30,8 +31,18 @@ pub(super) const ARKIT: [(u8, &[&str]); 17] = [
     (45, &["EyeBlinkLeft", "EyeBlinkRight"]),
 ];
 
-/// Frames per second of the timecode.
-const TIMECODE_FPS: f64 = 60.0;
+/// Frames per second of a timecode: the app's own rate, and the one that it can be set to.
+const TIMECODE_FPS: [f64; 2] = [60.0, 30.0];
+
+/// `camera_from_head` in OpenFace's axes (x to the right of the picture, y down, z away from the camera) of the app's angles,
+/// radians.
+///
+/// `HeadYaw` is positive towards the face's own left, `HeadPitch` upwards, `HeadRoll` where the head leans to its own
+/// right; they turn about ARKit's axes of a face (x to its own left, y up, z out of it) as Ry(yaw) Rx(−pitch) Rz(roll).
+/// OpenFace's axes are those after half a turn about x. What this rests on is in `docs/judging.md`.
+fn camera_from_head([yaw, pitch, roll]: [f64; 3]) -> DMat3 {
+    DMat3::from_rotation_y(-yaw) * DMat3::from_rotation_x(-pitch) * DMat3::from_rotation_z(-roll)
+}
 
 pub(super) fn parse(bytes: &[u8]) -> Result<Curves> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).flexible(true).from_reader(bytes);
@@ -53,12 +64,12 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Curves> {
         rows: Vec::new(),
         head_rotations: Vec::new(),
     };
-    let mut first = None;
+    let mut codes: Vec<[f64; 2]> = Vec::new();
     for (i, record) in reader.byte_records().enumerate() {
         let line = i as u64 + 2;
         let record = record.map_err(|e| FormatError::syntax(e.to_string()).at_line(line))?;
         let text = record.get(time).unwrap_or_default();
-        let Some(secs) = secs_of_timecode(text) else {
+        let Some(code) = timecode(text) else {
             let message = format!("Timecode `{}` is not hours:minutes:seconds:frames", shown(text));
             return Err(FormatError::syntax(message).at_line(line));
         };
@@ -83,24 +94,76 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Curves> {
         }
         let angle = |n: usize| head[n].map_or(Ok(None), number);
         let rotation = match (angle(0)?, angle(1)?, angle(2)?) {
-            // ARKit turns about y up and x to the left of the subject; OpenFace's y points down.
-            (Some(yaw), Some(pitch), Some(roll)) => {
-                Some(DMat3::from_rotation_x(-pitch) * DMat3::from_rotation_y(-yaw) * DMat3::from_rotation_z(roll))
-            }
+            (Some(yaw), Some(pitch), Some(roll)) => Some(camera_from_head([yaw, pitch, roll])),
             _ => None,
         };
-        curves.times_secs.push(secs - *first.get_or_insert(secs));
+        codes.push(code);
         curves.rows.push(row);
         curves.head_rotations.push(rotation);
     }
+    let fps = fps_of(&codes);
+    let first = codes.first().copied().unwrap_or_default();
+    curves.times_secs = codes.iter().map(|[secs, frame]| secs - first[0] + (frame - first[1]) / fps).collect();
     curves.checked()
 }
 
-/// `hh:mm:ss:ff.fff` to seconds.
-fn secs_of_timecode(text: &[u8]) -> Option<f64> {
+/// Frames per second of a table's timecode: no frame of a whole second reaches 30 where it counts 30 of them.
+fn fps_of(codes: &[[f64; 2]]) -> f64 {
+    let [usual, slow] = TIMECODE_FPS;
+    let a_second = codes.first().zip(codes.last()).is_some_and(|(a, b)| b[0] - a[0] >= 2.0);
+    if a_second && codes.iter().all(|[_, frame]| *frame < slow) { slow } else { usual }
+}
+
+/// `hh:mm:ss:ff.fff` as whole seconds and frames.
+fn timecode(text: &[u8]) -> Option<[f64; 2]> {
     let text = std::str::from_utf8(text).ok()?;
     let parts: Vec<f64> = text.split([':', ';']).map(|p| p.trim().parse::<f64>().ok()).collect::<Option<_>>()?;
     let [hours, minutes, seconds, frames] = parts[..] else { return None };
     parts.iter().all(|v| v.is_finite() && *v >= 0.0).then_some(())?;
-    Some(hours * 3600.0 + minutes * 60.0 + seconds + frames / TIMECODE_FPS)
+    Some([hours * 3600.0 + minutes * 60.0 + seconds, frames])
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+
+    fn table(rows: &[&str]) -> Vec<u8> {
+        let header = "Timecode,BlendshapeCount,JawOpen,HeadYaw,HeadPitch,HeadRoll";
+        [&[header], rows].concat().join("\n").into_bytes()
+    }
+
+    #[test]
+    fn angles_turn_the_head_the_way_the_phone_means() {
+        let curves = parse(&table(&[
+            "10:00:00:00.0,61,0,0,0,0",
+            "10:00:00:01.0,61,0,0.3,0,0",
+            "10:00:00:02.0,61,0,0,0.3,0",
+            "10:00:00:03.0,61,0,0,0,0.3",
+            "10:00:00:04.0,61,0,0.3,0.2,0.1",
+        ]))
+        .unwrap();
+        let turned = |row: usize, v: DVec3| curves.head_rotations[row].unwrap() * v;
+        // OpenFace's axes: x to the right of the picture, where the face's own left is; y down; the face looks to −z.
+        let (ahead, own_left) = (DVec3::NEG_Z, DVec3::X);
+        assert!((turned(0, ahead) - ahead).length() < 1e-12);
+        assert!(turned(1, ahead).x > 0.29, "yaw: to its own left, {}", turned(1, ahead));
+        assert!(turned(2, ahead).y < -0.29, "pitch: up, {}", turned(2, ahead));
+        assert!(turned(3, own_left).y < -0.29, "roll: its own left ear rises, {}", turned(3, own_left));
+        // Pitch goes about the turned head's own axis: whatever the yaw, it raises the gaze by itself.
+        assert!((turned(4, ahead).y + 0.2f64.sin()).abs() < 1e-12, "{}", turned(4, ahead));
+        let flat = DVec3 { y: 0.0, ..turned(4, ahead) };
+        assert!((flat.x / -flat.z - 0.3f64.tan()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn timecode_counts_sixty_or_thirty_to_a_second() {
+        let secs = |rows: &[&str]| parse(&table(rows)).unwrap().times_secs;
+        let fast = secs(&["10:00:00:58.5,61,0,,,", "10:00:00:59.5,61,0,,,", "10:00:01:00.5,61,0,,,"]);
+        assert!((fast[2] - 2.0 / 60.0).abs() < 1e-9, "{fast:?}");
+        let rows: Vec<String> = (0..75).map(|i| format!("10:00:{:02}:{:02}.25,61,0,,,", i / 30, i % 30)).collect();
+        let slow = secs(&rows.iter().map(String::as_str).collect::<Vec<_>>());
+        assert!((slow[74] - 74.0 / 30.0).abs() < 1e-9 && (slow[30] - 1.0).abs() < 1e-9, "{slow:?}");
+    }
 }

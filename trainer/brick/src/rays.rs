@@ -59,6 +59,8 @@ pub(crate) struct Rays {
     pub(crate) background: Pass,
     /// Colour so far, without what lies behind everything.
     pub(crate) color: Vec<[f32; 3]>,
+    /// Colour of the head alone.
+    pub(crate) head_color: Vec<[f32; 3]>,
     /// Transmittance behind everything so far.
     pub(crate) left: Vec<f32>,
     /// Region masks.
@@ -225,6 +227,7 @@ impl Rays {
         self.head.begin(directions);
         self.background.begin(directions);
         self.send_through_head(model, deformation, motion, origin, directions, &mut jitter, look);
+        self.head_color.clone_from(&self.color);
         if let (Some(part), Some(frame)) = (&model.background, &model.layout.background) {
             self.send_through_background(part, frame, origin, directions, &mut jitter, look);
         }

@@ -1,7 +1,10 @@
 //! Pictures of a fitted avatar.
 
+mod faint;
+
 use rayon::prelude::*;
 
+pub use self::faint::NOTHING;
 use crate::bake::{Baked, Crossed};
 use crate::evaluate::Deformation;
 use crate::expression::{CHANNELS, MASKS};
@@ -26,6 +29,8 @@ pub struct Shown {
     pub color: [f32; 3],
     /// How much of what lies behind everything shows.
     pub left: f32,
+    /// The head alone: its colour times its opacity, then its opacity, 0–1.
+    pub head: [f32; 4],
     /// Masks of the regions.
     pub masks: [f32; MASKS],
     /// Mean distance of the head along the ray, world units; 0 where it is not met.
@@ -95,11 +100,18 @@ impl<'a> Face<'a> {
 
     /// What rays from `origin` along `directions` (unit, world) show, in parallel.
     pub fn render(&self, origin: [f32; 3], directions: &[[f32; 3]]) -> Vec<Shown> {
+        let mut shown = self.render_with(&self.blend, origin, directions);
+        self.hush(origin, directions, &mut shown);
+        shown
+    }
+
+    /// The same by another B, as its rays come.
+    fn render_with(&self, blend: &[f32], origin: [f32; 3], directions: &[[f32; 3]]) -> Vec<Shown> {
         let mut out = vec![Shown::default(); directions.len()];
         out.par_chunks_mut(CHUNK).zip(directions.par_chunks(CHUNK)).for_each_init(
             Rays::default,
             |rays, (out, directions)| {
-                self.send(rays, origin, directions, |i, shown| out[i] = shown);
+                self.send(rays, blend, origin, directions, |i, shown| out[i] = shown);
             },
         );
         out
@@ -121,9 +133,16 @@ impl<'a> Face<'a> {
         deformation(self.model, &self.blend, &self.gates, Some(&self.latent))
     }
 
-    fn send(&self, rays: &mut Rays, origin: [f32; 3], directions: &[[f32; 3]], mut show: impl FnMut(usize, Shown)) {
+    fn send(
+        &self,
+        rays: &mut Rays,
+        blend: &[f32],
+        origin: [f32; 3],
+        directions: &[[f32; 3]],
+        mut show: impl FnMut(usize, Shown),
+    ) {
         let model = self.model;
-        let deformation = self.deformation();
+        let deformation = deformation(model, blend, &self.gates, Some(&self.latent));
         let look = Look {
             divisions: model.divisions,
             planes: model.planes,
@@ -133,10 +152,11 @@ impl<'a> Face<'a> {
         };
         rays.forward(model, &deformation, None, origin, directions, || 0.5, look);
         for r in 0..directions.len() {
-            let [sum, weight] = rays.depth[r];
+            let ([sum, weight], [red, green, blue]) = (rays.depth[r], rays.head_color[r]);
             let shown = Shown {
                 color: rays.color[r],
                 left: rays.left[r],
+                head: [red, green, blue, weight],
                 masks: rays.masks[r],
                 depth: if weight > 0.5 { sum / weight } else { 0.0 },
                 touched: rays.touched[r],
@@ -255,10 +275,11 @@ impl<'a> BakedFace<'a> {
         let marches: Vec<March> = directions.iter().map(march).collect();
         let head = self.head.send(&model.head, &marches, &[1.0; POINTS][..marches.len()], OPAQUE);
         for ((shown, crossed), through) in out.iter_mut().zip(&head) {
-            let [sum, weight] = through.depth;
+            let ([sum, weight], [red, green, blue]) = (through.depth, through.color);
             *shown = Shown {
                 color: through.color,
                 left: through.left,
+                head: [red, green, blue, weight],
                 depth: if weight > 0.5 { sum / weight * model.layout.head_box.half } else { 0.0 },
                 ..Shown::default()
             };

@@ -107,3 +107,60 @@ fn a_baked_picture_follows_an_edit() {
     baked.edit(&[0.8, -1.0]);
     assert_eq!(baked.redraw(&mut picture).len(), 0, "nothing changed");
 }
+
+#[test]
+fn the_head_alone_is_what_the_scene_shows_without_its_background() {
+    let model = soft();
+    let directions = directions();
+    let whole = Face::new(&model, &[0.4, -0.6]).render(ORIGIN, &directions);
+    let mut alone = model.clone();
+    alone.background = None;
+    let alone = Face::new(&alone, &[0.4, -0.6]).render(ORIGIN, &directions);
+    let mut soft = 0;
+    for (whole, alone) in whole.iter().zip(&alone) {
+        let [red, green, blue, opacity] = whole.head;
+        assert_eq!(whole.head, alone.head);
+        assert_eq!([red, green, blue], alone.color);
+        assert!((1.0 - opacity - alone.left).abs() < 1e-4, "{opacity} {}", alone.left);
+        // Premultiplied: a colour is never stronger than its opacity.
+        assert!([red, green, blue].iter().all(|&c| c <= opacity + 1e-4));
+        soft += usize::from((0.05..0.95).contains(&opacity));
+    }
+    assert!(soft > 0, "no ray is half opaque");
+}
+
+#[test]
+fn an_au_changes_nothing_where_its_mask_rounds_to_nothing() {
+    let mut model = soft();
+    // Warps and features strong enough to show where a mask is next to nothing.
+    model.expression.residuals.iter_mut().flat_map(|t| &mut t.values).for_each(|v| *v *= 40.0);
+    let directions: Vec<[f32; 3]> = (0..96 * 96)
+        .map(|i| {
+            let d = [((i % 96) as f32 / 96.0 - 0.5) * 0.5, ((i / 96) as f32 / 96.0 - 0.5) * 0.5, 1.0f32];
+            let n = (d[0] * d[0] + d[1] * d[1] + 1.0).sqrt();
+            d.map(|v| v / n)
+        })
+        .collect();
+    let (mut as_it_came, mut inside) = (0.0f32, 0.0f32);
+    for (n, other) in [(0, -1.0), (1, -1.0), (0, 0.7), (1, 0.7)] {
+        let mut attributes = [other; 2];
+        let pictures = [-1.0, 1.0].map(|value| {
+            attributes[n] = value;
+            let face = Face::new(&model, &attributes);
+            (face.render(ORIGIN, &directions), face.render_with(&face.blend, ORIGIN, &directions))
+        });
+        let [(rest, rest_came), (edited, edited_came)] = pictures;
+        for ((a, b), (c, d)) in rest.iter().zip(&edited).zip(rest_came.iter().zip(&edited_came)) {
+            let apart = |a: &Shown, b: &Shown| (0..3).map(|c| (a.color[c] - b.color[c]).abs()).fold(0.0, f32::max);
+            let mask = a.masks[n].max(b.masks[n]);
+            if mask < NOTHING {
+                assert!(apart(a, b) < 0.5 / 255.0, "{} at {mask}", apart(a, b));
+                as_it_came = as_it_came.max(apart(c, d));
+            } else if mask > 0.5 {
+                inside = inside.max(apart(a, b));
+            }
+        }
+    }
+    assert!(as_it_came > 1.0 / 255.0, "without it nothing would have shown either: {as_it_came}");
+    assert!(inside > 0.1, "AUs still act inside: {inside}");
+}

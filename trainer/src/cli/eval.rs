@@ -138,7 +138,7 @@ pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
             Some(evaluate(views, list, Judged::Between(avatar, &places, &renders), &mut networks, console)?)
         }
         (Some((views, list)), Some(avatar)) if args.renders.is_none() => {
-            let look = Look { skips: args.skips.skips()?, baked: args.baked, full: false };
+            let look = Look { skips: args.skips.skips()?, baked: args.baked, ..Look::default() };
             Some(evaluate(views, list, Judged::Avatar(avatar, look, &renders), &mut networks, console)?)
         }
         (Some((views, list)), _) => Some(evaluate(views, list, Judged::Folder(&renders), &mut networks, console)?),

@@ -20,13 +20,13 @@ pub(super) struct ExportArgs {
     /// The file to write: binary glTF
     #[arg(long, value_name = "FILE.glb")]
     out: PathBuf,
-    /// A mesh of the avatar's own view, or points of several views [default: mesh]
+    /// A mesh or points [default: mesh]
     #[arg(long, value_enum)]
     kind: Option<ExportKind>,
     /// Vertices across the picture [default: half the fitted width]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=2048))]
     columns: Option<u32>,
-    /// Views of the points: the avatar's own, then around the head [default: 5]
+    /// Views that are baked: the avatar's own, then to its sides, each with what it sees best [default: 5]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=32))]
     views: Option<u32>,
     /// AU curves to add as an animation

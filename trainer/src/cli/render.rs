@@ -72,7 +72,7 @@ pub(super) struct RenderArgs {
     /// Depth and masks
     #[arg(long, requires = "out")]
     maps: bool,
-    /// Make everything but the head transparent
+    /// Make everything but the head transparent: RGBA whose opacity is the head's, with soft edges; colours are straight
     #[arg(long, requires = "out")]
     alpha: bool,
     /// Keep the pictures that are in the folder from a render that was stopped
@@ -133,7 +133,7 @@ pub(super) fn run(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     let sink = Sink {
         folder: args.out.clone(),
         video: args.video.clone().map(|path| (path, fps)),
-        look: Look { skips: args.skips.skips()?, baked: args.baked, full: args.full },
+        look: Look { skips: args.skips.skips()?, baked: args.baked, full: args.full, ..Look::default() },
         maps: Maps { depth: args.depth || args.maps, masks: args.masks || args.maps, alpha: args.alpha },
         resume: args.resume,
     };

@@ -273,6 +273,7 @@ mod tests {
         let maps = Render {
             rgb: RgbImage::new(8, 8),
             masks: vec![(0..64).map(|i| if i < 16 { 1.0 } else { 0.0 }).collect(), vec![0.0; 64]],
+            head: Vec::new(),
             depth: (0..64).map(|i| if i < 32 { 0.4 } else { 0.0 }).collect(),
         };
         for i in 0..16 {

@@ -27,8 +27,8 @@ const FPS: f64 = 25.0;
 const REST: (usize, usize) = (12, 2);
 /// The tracker sees pictures enlarged to this many times the fitted size.
 const ENLARGED: u32 = 2;
-/// Masks below this are 0 of 255 levels: outside.
-const OUTSIDE: f32 = 0.5 / 255.0;
+/// Masks below this are 0 of 255 levels.
+const OUTSIDE: f32 = risorius_brick::render::NOTHING;
 /// Masks below this hardly count.
 const FAINT: f32 = 0.02;
 

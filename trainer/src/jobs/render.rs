@@ -12,6 +12,7 @@ use risorius_video::Writer;
 use serde::{Deserialize, Serialize};
 
 use crate::avatar::{Avatar, Render};
+use crate::cutout;
 use crate::error::{Result, TrainerError};
 use crate::studio::{Look, Studio};
 
@@ -48,7 +49,7 @@ pub struct Maps {
     pub depth: bool,
     /// `<id>_masks.png`: the first three regions as red, green, blue.
     pub masks: bool,
-    /// Whether pictures are RGBA, and only the head is opaque.
+    /// Whether pictures are RGBA and show the head alone: its own colours, straight, and its opacity.
     pub alpha: bool,
 }
 
@@ -108,7 +109,7 @@ pub fn warn_unknown(unknown: &std::collections::BTreeSet<risorius_formats::Actio
 pub fn render(avatar: &Avatar, shots: &[Shot], sink: &Sink, reporter: &dyn Reporter) -> Result<RenderSummary> {
     let started = std::time::Instant::now();
     let mut writer: Option<Writer> = None;
-    let mut studio = Studio::new(avatar, sink.look);
+    let mut studio = Studio::new(avatar, Look { cutout: sink.maps.alpha, ..sink.look });
     let made = sink.folder.as_ref().map(|folder| begin(folder, avatar, shots, sink)).transpose()?;
     let mut kept = 0;
     reporter.stage("render", Some(shots.len() as u64));
@@ -128,7 +129,8 @@ pub fn render(avatar: &Avatar, shots: &[Shot], sink: &Sink, reporter: &dyn Repor
                 let path = folder.join(format!("{}.png", shot.id));
                 // Last: a picture that is there has its maps.
                 if sink.maps.alpha {
-                    write_alpha(&path, &picture, &render)?;
+                    let cut = cutout::straight(&render.head, render.rgb.dimensions(), picture.dimensions());
+                    write_pixels(&path, cut.as_raw(), picture.dimensions(), ExtendedColorType::Rgba8)?;
                 } else {
                     write_png(&path, &picture)?;
                 }
@@ -214,24 +216,6 @@ fn write_maps(folder: &Path, id: &str, render: &Render, maps: Maps) -> Result<()
         write_pixels(&folder.join(format!("{id}_masks.png")), &masks, size, ExtendedColorType::Rgb8)?;
     }
     Ok(())
-}
-
-/// Writes the picture with the head alone opaque: where the render, which may be smaller, meets it.
-fn write_alpha(path: &Path, picture: &RgbImage, render: &Render) -> Result<()> {
-    let (width, height) = picture.dimensions();
-    let (small_width, small_height) = render.rgb.dimensions();
-    let head = image::GrayImage::from_fn(small_width, small_height, |x, y| {
-        let met = render.depth[y as usize * small_width as usize + x as usize] > 0.0;
-        image::Luma([if met { 255 } else { 0 }])
-    });
-    let alpha = if (small_width, small_height) == (width, height) {
-        head
-    } else {
-        image::imageops::resize(&head, width, height, image::imageops::FilterType::Triangle)
-    };
-    let pixels = picture.as_raw().as_chunks::<3>().0.iter().zip(alpha.as_raw());
-    let bytes: Vec<u8> = pixels.flat_map(|([r, g, b], a)| [*r, *g, *b, *a]).collect();
-    write_pixels(path, &bytes, (width, height), ExtendedColorType::Rgba8)
 }
 
 /// Writes a PNG, whole or not at all.

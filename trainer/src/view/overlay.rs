@@ -62,6 +62,7 @@ mod tests {
         let render = Render {
             rgb: RgbImage::from_pixel(2, 1, image::Rgb([100, 100, 100])),
             masks: vec![vec![0.0, 1.0]],
+            head: Vec::new(),
             depth: vec![0.0, 0.5],
         };
         let tinted = masks(&render);

@@ -1,6 +1,7 @@
 //! The avatar as glTF for other engines: a mesh or a cloud of points with one morph target per AU.
 //!
-//! A vertex is a ray of a view: it stands where the ray meets the neutral head. An AU's target moves it along the ray to
+//! A vertex is a ray of a view: it stands where the ray meets the neutral head. A mesh is sewn from the avatar's own view and
+//! views to its sides, each with the surface that it sees best. An AU's target moves it along the ray to
 //! where it meets the head with that AU at its strongest, and changes its colour to what is seen there (`POSITION` and
 //! `COLOR_0` of the target). What moves across the view, such as a lid, is therefore told by colours rather than by
 //! positions: right from about the views that were baked, and wrong the farther one looks from elsewhere. Weights mix
@@ -10,6 +11,7 @@
 //! are the world's. Colours are linear, on an unlit material: light is part of them.
 
 mod glb;
+mod sheets;
 
 use std::path::{Path, PathBuf};
 
@@ -18,21 +20,20 @@ use risorius_formats::{Camera, Intrinsics, Reporter, atomic};
 use serde::Serialize;
 use serde_json::json;
 
+use self::sheets::Sheet;
 use super::transfer::Driver;
 use crate::avatar::{Avatar, Render};
 use crate::error::{Result, TrainerError};
 use crate::path::Orbit;
 use crate::studio::{Look, Studio};
 
-/// Neighbours whose depths differ by more than this share are not joined.
-const EDGE: f32 = 0.03;
 /// Frames per second of animations.
 const FPS: f64 = 25.0;
 
 /// What is written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum ExportKind {
-    /// A mesh of the avatar's own view.
+    /// A mesh of several views around the head.
     #[default]
     Mesh,
     /// Points of several views around the head.
@@ -46,7 +47,7 @@ pub struct ExportSettings {
     pub kind: ExportKind,
     /// Vertices across the picture's width.
     pub columns: u32,
-    /// Views of a cloud of points.
+    /// Views: the avatar's own, then to its sides.
     pub views: usize,
 }
 
@@ -100,20 +101,31 @@ pub fn export(
     let saved = &avatar.saved;
     let active: Vec<usize> = (0..saved.table.attributes.len()).filter(|&k| saved.table.attributes[k].active).collect();
     let reference = Camera::from(&saved.default_camera);
-    let views = if settings.kind == ExportKind::Points { settings.views.max(1) } else { 1 };
+    let count = settings.views.max(1);
     let mut baked =
         Baked { moves: vec![Vec::new(); active.len()], tints: vec![Vec::new(); active.len()], ..Baked::default() };
-    reporter.stage("bake", Some((views * (1 + 2 * active.len())) as u64));
-    for view in 0..views {
-        let angle = std::f64::consts::TAU * view as f64 / views.max(1) as f64;
-        let spread = if view == 0 { 0.0 } else { 1.0 };
-        let orbit = Orbit {
-            yaw_deg: (saved.orbit_rad[0] * spread * angle.cos()).to_degrees(),
-            pitch_deg: (saved.orbit_rad[1] * spread * angle.sin()).to_degrees(),
-            ..Orbit::default()
-        };
-        let camera = coarse(&orbit.camera(&reference, saved.center_in_world), settings.columns);
-        bake_view(avatar, &active, &camera, &reference, settings.kind, &mut baked, reporter)?;
+    reporter.stage("bake", Some((count * (1 + 2 * active.len())) as u64));
+    let mut views = (0..count)
+        .map(|view| {
+            let angle = std::f64::consts::TAU * view.saturating_sub(1) as f64 / (count - 1).max(1) as f64;
+            let spread = if view == 0 { 0.0 } else { 1.0 };
+            let orbit = Orbit {
+                yaw_deg: (saved.orbit_rad[0] * spread * angle.cos()).to_degrees(),
+                pitch_deg: (saved.orbit_rad[1] * spread * angle.sin()).to_degrees(),
+                ..Orbit::default()
+            };
+            View::new(avatar, coarse(&orbit.camera(&reference, saved.center_in_world), settings.columns), reporter)
+        })
+        .collect::<Result<Vec<View<'_>>>>()?;
+    let kept: Vec<Option<Vec<[usize; 3]>>> = match settings.kind {
+        ExportKind::Points => vec![None; count],
+        ExportKind::Mesh => {
+            let sheets: Vec<Sheet<'_>> = views.iter().map(|v| Sheet::new(&v.camera, &v.rest.depth)).collect();
+            (0..count).map(|own| Some(sheets::triangles(&sheets, own))).collect()
+        }
+    };
+    for (view, triangles) in views.iter_mut().zip(&kept) {
+        bake_view(avatar, &active, view, triangles.as_deref(), &reference, &mut baked, reporter)?;
     }
     if baked.positions.len() < 3 {
         return Err(TrainerError::Setting {
@@ -155,27 +167,45 @@ fn coarse(camera: &Camera, columns: u32) -> Camera {
     Camera { intrinsics, camera_from_world: camera.camera_from_world }
 }
 
+/// A view at work, and the neutral face in it.
+struct View<'a> {
+    camera: Camera,
+    studio: Studio<'a>,
+    rest: Render,
+}
+
+impl<'a> View<'a> {
+    fn new(avatar: &'a Avatar, camera: Camera, reporter: &dyn Reporter) -> Result<Self> {
+        let mut studio = Studio::new(avatar, Look { full: true, ..Look::default() });
+        let rest = take(&mut studio, &camera, &avatar.neutral_attributes(), reporter)?;
+        Ok(Self { camera, studio, rest })
+    }
+}
+
+fn take(studio: &mut Studio<'_>, camera: &Camera, attributes: &[f32], reporter: &dyn Reporter) -> Result<Render> {
+    if reporter.cancelled() {
+        return Err(TrainerError::Interrupted { done: "part of a bake; nothing was written".to_owned() });
+    }
+    let render = studio.render(camera, attributes, reporter)?;
+    reporter.advance(1);
+    Ok(render)
+}
+
+/// Bakes a view's corners of `triangles`, or all its points.
 fn bake_view(
     avatar: &Avatar,
     active: &[usize],
-    camera: &Camera,
+    view: &mut View<'_>,
+    triangles: Option<&[[usize; 3]]>,
     reference: &Camera,
-    kind: ExportKind,
     baked: &mut Baked,
     reporter: &dyn Reporter,
 ) -> Result<()> {
-    let mut studio = Studio::new(avatar, Look { full: true, ..Look::default() });
+    let View { camera, studio, rest } = view;
     let neutral = avatar.neutral_attributes();
-    let mut take = |attributes: &[f32]| -> Result<Render> {
-        if reporter.cancelled() {
-            return Err(TrainerError::Interrupted { done: "part of a bake; nothing was written".to_owned() });
-        }
-        let render = studio.render(camera, attributes, reporter)?;
-        reporter.advance(1);
-        Ok(render)
-    };
-    let rest = take(&neutral)?;
     let (width, height) = (rest.rgb.width() as usize, rest.rgb.height() as usize);
+    let mut wanted = vec![triangles.is_none(); width * height];
+    triangles.iter().copied().flatten().flatten().for_each(|&i| wanted[i] = true);
     let center = avatar.saved.center_in_world;
     // World to glTF: the reference camera's axes with y and z turned round.
     let place = |p: DVec3| {
@@ -187,7 +217,7 @@ fn bake_view(
     let mut vertex_of = vec![u32::MAX; width * height];
     let mut pixels: Vec<(usize, DVec3)> = Vec::new();
     for (i, vertex) in vertex_of.iter_mut().enumerate() {
-        if let (Some(direction), true) = (ray(i), rest.depth[i] > 0.0) {
+        if let (Some(direction), true) = (ray(i), wanted[i] && rest.depth[i] > 0.0) {
             *vertex = (first + pixels.len()) as u32;
             pixels.push((i, direction.normalize()));
         }
@@ -195,15 +225,15 @@ fn bake_view(
     let eye = camera.center();
     let at = |depth: f32, direction: DVec3| place(eye + direction * f64::from(depth));
     baked.positions.extend(pixels.iter().map(|(i, d)| at(rest.depth[*i], *d)));
-    baked.colors.extend(pixels.iter().map(|(i, _)| linear(&rest, *i)));
+    baked.colors.extend(pixels.iter().map(|(i, _)| linear(rest, *i)));
     for (target, &k) in active.iter().enumerate() {
         let spec = &avatar.saved.table.attributes[k];
         let mut raised = neutral.clone();
         let half = spec.neutral + (spec.au_max - spec.neutral) / 2.0;
         raised[k] = avatar.attribute_from_intensity(spec, half);
-        let half_way = take(&raised)?;
+        let half_way = take(studio, camera, &raised, reporter)?;
         raised[k] = avatar.attribute_from_intensity(spec, spec.au_max);
-        let full = take(&raised)?;
+        let full = take(studio, camera, &raised, reporter)?;
         for (v, (i, direction)) in pixels.iter().enumerate() {
             let from = baked.positions[first + v];
             let depth = if full.depth[*i] > 0.0 { full.depth[*i] } else { rest.depth[*i] };
@@ -211,28 +241,11 @@ fn bake_view(
             baked.moves[target].push(std::array::from_fn(|c| to[c] - from[c]));
             let (a, b) = (baked.colors[first + v], linear(&full, *i));
             baked.tints[target].push(std::array::from_fn(|c| b[c] - a[c]));
-            baked.errors.add(&rest, &half_way, &full, *i);
+            baked.errors.add(rest, &half_way, &full, *i);
         }
     }
-    if kind == ExportKind::Mesh {
-        let far = |a: usize, b: usize| {
-            let (a, b) = (rest.depth[a], rest.depth[b]);
-            (a - b).abs() > EDGE * a.min(b)
-        };
-        for y in 0..height - 1 {
-            for x in 0..width - 1 {
-                let (a, b) = (y * width + x, y * width + x + 1);
-                let (c, d) = (a + width, b + width);
-                for corners in [[a, c, b], [b, c, d]] {
-                    let whole = corners.iter().all(|&i| vertex_of[i] != u32::MAX);
-                    if whole
-                        && !(far(corners[0], corners[1]) || far(corners[1], corners[2]) || far(corners[0], corners[2]))
-                    {
-                        baked.triangles.extend(corners.map(|i| vertex_of[i]));
-                    }
-                }
-            }
-        }
+    for corners in triangles.iter().copied().flatten() {
+        baked.triangles.extend(corners.map(|i| vertex_of[i]));
     }
     Ok(())
 }
