@@ -84,8 +84,12 @@ pub(crate) fn check_comparable(quick: bool, before: &Report) -> Result<(), Failu
     }
     if before.quick != quick {
         let form = |quick: bool| if quick { "the quick form" } else { "the whole one" };
-        return Err(Failure::input(format!("the baseline was made by {}, this is {}", form(before.quick), form(quick)))
-            .with_hint("give or leave out `--quick`, as for the baseline"));
+        return Err(Failure::input(format!(
+            "the baseline was made by {}, this is {}",
+            form(before.quick),
+            form(quick)
+        ))
+        .with_hint("give or leave out `--quick`, as for the baseline"));
     }
     Ok(())
 }
