@@ -8,10 +8,10 @@ use risorius_formats::{FormatError, atomic};
 
 use crate::{Report, Row, VERSION};
 
-/// Instructions hardly vary: threads that wait for each other, addresses that hash differently.
-const INSTRUCTION_SLACK: f64 = 1.05;
-/// Commands below this cost are mostly the program's start.
-const LEAST_CPU_SECS: f64 = 0.15;
+/// Instructions of one thread hardly vary: two runs on a busy machine differed by 0.002 % at most.
+const INSTRUCTION_SLACK: f64 = 1.02;
+/// The CPU time of shorter commands is mostly the program's start, and varied by half.
+const LEAST_CPU_SECS: f64 = 0.3;
 /// Memory may grow by this factor and this much, MiB, before it is named.
 const MEMORY_SLACK: (f64, f64) = (1.25, 32.0);
 
