@@ -122,9 +122,11 @@ impl Refusal {
     }
 }
 
-/// A rate without needless digits.
+/// A rate without needless digits, but with so many that it is still the same when it is asked for.
 pub(crate) fn number(fps: f64) -> String {
-    let text = format!("{fps:.2}");
+    let rounded = |decimals: usize| format!("{fps:.decimals$}");
+    let is_same = |text: &String| text.parse().is_ok_and(|read| same_rate(read, fps));
+    let text = (2..8).map(rounded).find(is_same).unwrap_or_else(|| rounded(2));
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
@@ -299,9 +301,18 @@ mod tests {
         (format, size, rates).prop_map(|(format, (width, height), rates)| Mode { format, width, height, rates })
     }
 
+    #[test]
+    fn rates_are_written_so_that_they_are_still_the_same() {
+        let cases = [(120.0, "120"), (29.97, "29.97"), (119.88, "119.88"), (1.2345, "1.234"), (1.0 / 15.0, "0.0667")];
+        for (fps, text) in cases {
+            assert_eq!(number(fps), text);
+            assert!(same_rate(text.parse().unwrap(), fps));
+        }
+    }
+
     proptest! {
         /// What is agreed to is a mode that the camera has and that was asked for; a refused rate really is not there, and
-        /// what is named instead really is.
+        /// asking for what is named instead, in the digits in which it is named, is agreed to.
         #[test]
         fn what_is_agreed_is_there_and_what_is_refused_is_not(
             modes in prop::collection::vec(any_mode(), 1..12),
@@ -314,22 +325,25 @@ mod tests {
                 Rates::Between { lowest, highest } => (lowest - 0.001..=highest + 0.001).contains(&f),
                 Rates::Unknown => true,
             };
+            let is_there = |choice: &Choice, asked: Option<f64>| {
+                let rate = choice.rate.fps();
+                let of = |m: &&Mode| (m.format, m.width, m.height) == (choice.format, choice.width, choice.height);
+                modes.iter().filter(of).any(|m| has(m, rate)) && asked.is_none_or(|f| same_rate(f, rate))
+            };
             match negotiate(&modes, &Request { size, fps, format: None }) {
                 Ok(choice) => {
-                    let rate = choice.rate.fps();
-                    let found = modes.iter().any(|m| {
-                        (m.format, m.width, m.height) == (choice.format, choice.width, choice.height) && has(m, rate)
-                    });
-                    prop_assert!(found, "{choice}");
+                    prop_assert!(is_there(&choice, fps), "asked for {fps:?}, got {choice}");
                     prop_assert!(size.is_none_or(|s| s == (choice.width, choice.height)));
-                    prop_assert!(fps.is_none_or(|f| same_rate(f, rate)), "asked for {fps:?}, got {rate}");
                 }
-                Err(Refusal::Rate { asked, size: (w, h), nearest, at_another_size }) => {
-                    let here = || modes.iter().filter(|m| (m.width, m.height) == (w, h));
-                    prop_assert!(!here().any(|m| matches!(&m.rates, Rates::Exactly(l) if l.iter().any(|r| same_rate(r.fps(), asked)))));
-                    prop_assert!(here().any(|m| has(m, nearest)), "{nearest} is not there");
-                    if let Some(other) = at_another_size {
-                        prop_assert!(modes.iter().any(|m| (m.width, m.height) == other && has(m, asked)));
+                Err(Refusal::Rate { asked, size: here, nearest, at_another_size }) => {
+                    prop_assert_eq!(fps, Some(asked));
+                    prop_assert!(!modes.iter().any(|m| (m.width, m.height) == here && has(m, asked)));
+                    let as_told = number(nearest).parse().unwrap();
+                    let instead = [Some((here, as_told)), at_another_size.map(|other| (other, asked))];
+                    for (size, fps) in instead.into_iter().flatten() {
+                        let again = negotiate(&modes, &Request { size: Some(size), fps: Some(fps), format: None });
+                        let agreed = again.as_ref().is_ok_and(|choice| is_there(choice, Some(fps)));
+                        prop_assert!(agreed, "{size:?} at {fps} instead of {here:?} at {asked}: {again:?}");
                     }
                 }
                 Err(Refusal::Size { asked, nearest }) => {

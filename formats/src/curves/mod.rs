@@ -78,9 +78,11 @@ impl Curves {
         let times: Vec<f64> =
             track.rows.iter().map(|r| r.timestamp_secs.unwrap_or(f64::from(r.frame.0) / 30.0)).collect();
         // OpenFace writes two or three decimals: repeated times at high frame rates would not rise.
-        let rising = times.windows(2).all(|w| w[1] > w[0]) && times.iter().all(|t| t.abs() <= LATEST_SECS);
+        let rising =
+            times.windows(2).all(|w| w[1] - w[0] >= SHORTEST_SECS) && times.iter().all(|t| t.abs() <= LATEST_SECS);
+        let gaps = times.len().saturating_sub(1).max(1) as f64;
         let span = times.last().copied().unwrap_or(0.0) - times.first().copied().unwrap_or(0.0);
-        let step = if span > 0.0 && span <= LATEST_SECS { span / (times.len() - 1) as f64 } else { 1.0 / 30.0 };
+        let step = if (SHORTEST_SECS * gaps..=LATEST_SECS).contains(&span) { span / gaps } else { 1.0 / 30.0 };
         let first = track.rows.first().map_or(0, |r| r.frame.0);
         let even = |i: usize| f64::from(track.rows[i].frame.0 - first) * step;
         let valid = |i: usize| track.rows[i].is_valid(min_confidence);
@@ -152,6 +154,16 @@ mod tests {
 
     fn parse(text: &str) -> Result<Curves> {
         Curves::parse(text.as_bytes(), &Silent)
+    }
+
+    /// Found by fuzzing: the step between frames was so small that their rate was infinite.
+    #[test]
+    fn times_of_a_table_that_end_where_they_begin_give_a_rate_all_the_same() {
+        let found = include_bytes!("../../../fuzz/found/tables/times-that-hardly-rise");
+        // The first byte chooses the fuzzer's parser.
+        let curves = Curves::parse(&found[1..], &Silent).unwrap();
+        assert_eq!(curves.times_secs.len(), 3);
+        assert!((curves.fps() - 30.0).abs() < 1e-9, "{} frames per second", curves.fps());
     }
 
     #[test]

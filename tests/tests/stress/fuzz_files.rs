@@ -27,9 +27,9 @@ use crate::mutate::mutation;
 /// Mutations per parser in the quick part.
 const MUTATIONS: u64 = 1500;
 /// Memory that a parser may take beyond a multiple of its input.
-const ROOM_BYTES: usize = 48 << 20;
+pub(crate) const ROOM_BYTES: usize = 48 << 20;
 /// The multiple.
-const TIMES: usize = 256;
+pub(crate) const TIMES: usize = 256;
 
 /// What a parser answers: what it made is checked already.
 type Answer = Result<(), String>;

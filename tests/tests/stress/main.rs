@@ -12,6 +12,7 @@ mod determinism;
 mod extreme_scenes;
 mod fuzz_files;
 mod fuzz_folders;
+mod fuzz_found;
 mod hazards;
 mod long_run;
 mod mutate;

@@ -158,6 +158,11 @@ pub(crate) fn survives(name: &str, args: &[&str]) -> Result<(bool, String), Stri
 
 /// An untrained avatar of a ball before a wall, whose one region is the ball's middle.
 pub(crate) fn ball(aus: usize, images: usize, seed: u64) -> Brick {
+    ball_with_finest(aus, images, seed, 128)
+}
+
+/// The same with grids of up to `finest` vertices along an edge.
+pub(crate) fn ball_with_finest(aus: usize, images: usize, seed: u64, finest: usize) -> Brick {
     let layout = Layout {
         head_box: HeadBox { center: [0.0; 3], half: 0.6 },
         background: Some(BackgroundFrame {
@@ -172,7 +177,7 @@ pub(crate) fn ball(aus: usize, images: usize, seed: u64) -> Brick {
         regions: 1,
         images,
         expression_vertices: 16,
-        finest: 128,
+        finest,
     };
     Brick::new(layout, seed, |p| u8::from(math::dot(p, p) < 0.2))
 }

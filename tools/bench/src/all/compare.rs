@@ -6,12 +6,12 @@ use risorius_console::Failure;
 use risorius_formats::pose_report::json_error;
 use risorius_formats::{FormatError, atomic};
 
-use crate::{Report, Row};
+use crate::{Report, Row, VERSION};
 
-/// Instructions hardly vary: threads that wait for each other, addresses that hash differently.
-const INSTRUCTION_SLACK: f64 = 1.05;
-/// Commands below this cost are mostly the program's start.
-const LEAST_CPU_SECS: f64 = 0.15;
+/// Instructions of one thread hardly vary: two runs on a busy machine differed by 0.002 % at most.
+const INSTRUCTION_SLACK: f64 = 1.02;
+/// The CPU time of shorter commands is mostly the program's start, and varied by half.
+const LEAST_CPU_SECS: f64 = 0.3;
 /// Memory may grow by this factor and this much, MiB, before it is named.
 const MEMORY_SLACK: (f64, f64) = (1.25, 32.0);
 
@@ -76,7 +76,25 @@ fn one(row: &Row, old: &Row, slack: f64, verdict: &mut Verdict) {
     }
 }
 
-/// Reads a baseline.
+/// Refuses a baseline that was not measured in the same way as a run that is `quick` or not.
+pub(crate) fn check_comparable(quick: bool, before: &Report) -> Result<(), Failure> {
+    if before.version != VERSION {
+        return Err(Failure::input(format!("the baseline is of version {}, not {VERSION}", before.version))
+            .with_hint("write a new one with `--write-baseline`"));
+    }
+    if before.quick != quick {
+        let form = |quick: bool| if quick { "the quick form" } else { "the whole one" };
+        return Err(Failure::input(format!(
+            "the baseline was made by {}, this is {}",
+            form(before.quick),
+            form(quick)
+        ))
+        .with_hint("give or leave out `--quick`, as for the baseline"));
+    }
+    Ok(())
+}
+
+/// Reads a baseline, or the report of a run.
 pub(crate) fn read(path: &Path) -> Result<Report, Failure> {
     let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, "read", &e))?;
     Ok(serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(path))?)
@@ -109,6 +127,13 @@ mod tests {
     }
 
     #[test]
+    fn only_what_was_measured_in_the_same_way_is_compared() {
+        let quick = report(vec![]);
+        assert!(check_comparable(true, &quick).is_ok() && check_comparable(false, &quick).is_err());
+        assert!(check_comparable(true, &Report { version: VERSION + 1, ..quick }).is_err());
+    }
+
+    #[test]
     fn what_is_dearer_is_named_by_what_was_counted() {
         let before = report(vec![row("a", 4.0, None), row("b", 4.0, Some(1000)), row("c", 4.0, None)]);
         let same = compare(&before, &before, 1.5);
@@ -126,5 +151,8 @@ mod tests {
         assert_eq!(verdict.dearer.len(), 2, "{verdict:?}");
         assert!(verdict.dearer[0].starts_with("b: 1.10 times the instructions"));
         assert!(verdict.dearer[1].contains("300 MiB"));
+        // A clock on the wall that went ten times as slowly says nothing.
+        let slow: Vec<Row> = before.rows.iter().map(|r| Row { wall_secs: 20.0, ..r.clone() }).collect();
+        assert!(compare(&report(slow), &before, 1.5).dearer.is_empty());
     }
 }

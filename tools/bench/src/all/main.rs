@@ -18,7 +18,7 @@ mod plot;
 mod report;
 mod score;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -33,7 +33,7 @@ use serde::{Deserialize, Serialize};
     name = "bench-all",
     version,
     about,
-    after_help = "Examples:\n  bench-all --work work/bench --quick\n  bench-all --work work/bench --quick --compare tools/bench/baseline.json\n  bench-all --work work/bench --capture captures/ada --colmap\nA new baseline, on a quiet machine:\n  bench-all --work work/bench --quick --instructions --write-baseline tools/bench/baseline.json"
+    after_help = "Examples:\n  bench-all --work work/bench --quick\n  bench-all --work work/bench --quick --compare tools/bench/baseline.json\n  bench-all --work work/bench --measured --compare tools/bench/baseline.json\n  bench-all --work work/bench --capture captures/ada --colmap\nA new baseline, on a quiet machine:\n  bench-all --work work/bench --quick --instructions --write-baseline tools/bench/baseline.json"
 )]
 struct Cli {
     #[command(flatten)]
@@ -62,6 +62,9 @@ struct Cli {
     /// How much more CPU time may be, against the baseline, on a machine that others use as well
     #[arg(long, value_name = "FACTOR", default_value_t = 1.5)]
     slack: f64,
+    /// Measure nothing: take the report of the last run in `--work`
+    #[arg(long, conflicts_with_all = ["quick", "capture", "colmap", "instructions", "only"])]
+    measured: bool,
     /// Write a baseline of this run
     #[arg(long, value_name = "FILE")]
     write_baseline: Option<PathBuf>,
@@ -101,6 +104,9 @@ pub(crate) struct Row {
     pub(crate) instructions: Option<u64>,
 }
 
+/// Of the layout of reports and baselines.
+pub(crate) const VERSION: u32 = 1;
+
 /// The whole run, and a baseline.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Report {
@@ -130,24 +136,16 @@ fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
         console.finish(&sum, &format!("{sum}"));
         return Ok(());
     };
-    // Read first: a wrong path should not cost a run.
+    // Read first: a wrong path or form should not cost a run.
     let baseline = cli.compare.as_deref().map(compare::read).transpose()?;
-    std::fs::create_dir_all(work).map_err(|e| FormatError::io(work, "create", &e))?;
-    let work = std::path::absolute(work).map_err(|e| FormatError::io(work, "find", &e))?;
-    let unit_cpu_secs = unit(&work)?;
-    let floor = risorius_brick::floor::Floor::measure();
-    let mut bench = cases::Bench::new(cli, &work, unit_cpu_secs, &floor, console)?;
-    bench.run_all()?;
-    let report = Report {
-        version: 1,
-        processor: calibrate::processor(),
-        threads: floor.threads,
-        unit_cpu_secs,
-        floor: (floor.gflops, floor.million_look_ups_per_sec),
-        quick: cli.quick,
-        rows: bench.rows,
+    let earlier = cli.measured.then(|| compare::read(&work.join(report::JSON))).transpose()?;
+    if let Some(baseline) = &baseline {
+        compare::check_comparable(earlier.as_ref().map_or(cli.quick, |report| report.quick), baseline)?;
+    }
+    let report = match earlier {
+        Some(report) => report,
+        None => measured(cli, work, console)?,
     };
-    report::write(&report, &work)?;
     if let Some(path) = &cli.write_baseline {
         compare::write(&report, path)?;
     }
@@ -165,8 +163,29 @@ fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     }
 }
 
+/// Runs everything that is asked for, and leaves the report in `work`.
+fn measured(cli: &Cli, work: &Path, console: &Console) -> Result<Report, Failure> {
+    std::fs::create_dir_all(work).map_err(|e| FormatError::io(work, "create", &e))?;
+    let work = std::path::absolute(work).map_err(|e| FormatError::io(work, "find", &e))?;
+    let unit_cpu_secs = unit(&work)?;
+    let floor = risorius_brick::floor::Floor::measure();
+    let mut bench = cases::Bench::new(cli, &work, unit_cpu_secs, &floor, console)?;
+    bench.run_all()?;
+    let report = Report {
+        version: VERSION,
+        processor: calibrate::processor(),
+        threads: floor.threads,
+        unit_cpu_secs,
+        floor: (floor.gflops, floor.million_look_ups_per_sec),
+        quick: cli.quick,
+        rows: bench.rows,
+    };
+    report::write(&report, &work)?;
+    Ok(report)
+}
+
 /// CPU seconds of the unit of cost: the least of three, since others can only add to it.
-fn unit(work: &std::path::Path) -> Result<f64, Failure> {
+fn unit(work: &Path) -> Result<f64, Failure> {
     let mut least = f64::INFINITY;
     for _ in 0..3 {
         least = least.min(child::run("bench-all", &["--calibrate"], work)?.cpu_secs);

@@ -9,6 +9,9 @@ use risorius_formats::{FormatError, atomic};
 
 use crate::{Report, Row, plot};
 
+/// The report's name for programs, below the working folder.
+pub(crate) const JSON: &str = "report.json";
+
 /// Writes `report.csv`, `report.json`, `errors.svg`, `growth.svg`, `memory.svg` and `report.html` into `work`.
 pub(crate) fn write(report: &Report, work: &Path) -> Result<(), Failure> {
     let fail = |e: String| Failure::from(FormatError::syntax(e).in_file(work));
@@ -19,7 +22,7 @@ pub(crate) fn write(report: &Report, work: &Path) -> Result<(), Failure> {
     let page = page(report, &[("Error against run time", &errors), ("How cost grows", &growth), ("Memory", &memory)]);
     for (name, text) in [
         ("report.csv", &csv(report)),
-        ("report.json", &json),
+        (JSON, &json),
         ("errors.svg", &errors),
         ("growth.svg", &growth),
         ("memory.svg", &memory),

@@ -10,6 +10,9 @@ use crate::Rung;
 
 /// What has no error at all is drawn here.
 const EXACT: f64 = 1e-17;
+/// Where the legend stands in its panel, pixels: on the right, between the errors of 32 bits and those of 64, where no
+/// stage has a point.
+const LEGEND: SeriesLabelPosition = SeriesLabelPosition::Coordinate(258, 168);
 
 /// Writes two panels: the largest and the root mean square error.
 pub(crate) fn write(path: &Path, rungs: &[Rung]) -> Result<(), FormatError> {
@@ -54,7 +57,6 @@ fn panel(area: &Area<'_>, title: &str, rungs: &[Rung], value: fn(&Rung) -> f64) 
         }))?;
     }
     let border = BLACK.mix(0.3);
-    let place = SeriesLabelPosition::LowerRight;
-    chart.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(border).position(place).draw()?;
+    chart.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(border).position(LEGEND).draw()?;
     Ok(())
 }
