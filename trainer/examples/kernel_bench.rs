@@ -8,7 +8,8 @@ use std::time::Instant;
 
 use burn::tensor::{Device, Distribution, Tensor};
 use risorius_trainer::kernel::{
-    EncodingSpec, MlpSpec, composite, grouped_mlp_forward, mlp_forward, positional_encoding, reference, set_threads,
+    EncodingSpec, MlpSpec, Products, composite, grouped_mlp_forward, mlp_forward, positional_encoding, reference,
+    set_threads,
 };
 
 #[global_allocator]
@@ -95,8 +96,16 @@ fn main() {
 
     for rows in [16_384, 65_536] {
         let dense = [
-            ("123 -> 4x64 -> 64", 123, MlpSpec { depth: 4, width: 64, skip: None, output: Some(64) }),
-            ("339 -> 8x256, skip 4", 339, MlpSpec { depth: 8, width: 256, skip: Some(4), output: None }),
+            (
+                "123 -> 4x64 -> 64",
+                123,
+                MlpSpec { depth: 4, width: 64, skip: None, output: Some(64), products: Products::F32 },
+            ),
+            (
+                "339 -> 8x256, skip 4",
+                339,
+                MlpSpec { depth: 8, width: 256, skip: Some(4), output: None, products: Products::F32 },
+            ),
         ];
         for (name, inputs, spec) in dense {
             let tensors = [random([rows, inputs], &device), random([1, spec.parameter_count(inputs)], &device)];
@@ -108,8 +117,14 @@ fn main() {
             report(name, rows, Some(rows as f64 * flops(&spec, inputs)), times);
         }
         let grouped = [
-            ("17 x (36+1 -> 6x64 -> 8, skip 4)", MlpSpec { depth: 6, width: 64, skip: Some(4), output: Some(8) }),
-            ("17 x (36+1 -> 4x16 -> 2)", MlpSpec { depth: 4, width: 16, skip: None, output: Some(2) }),
+            (
+                "17 x (36+1 -> 6x64 -> 8, skip 4)",
+                MlpSpec { depth: 6, width: 64, skip: Some(4), output: Some(8), products: Products::F32 },
+            ),
+            (
+                "17 x (36+1 -> 4x16 -> 2)",
+                MlpSpec { depth: 4, width: 16, skip: None, output: Some(2), products: Products::F32 },
+            ),
         ];
         for (name, spec) in grouped {
             let params = random([17, spec.parameter_count(37)], &device);
