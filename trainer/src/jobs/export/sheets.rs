@@ -167,21 +167,24 @@ mod tests {
         assert!(together > 1.15 * alone, "{together} {alone}");
         // A ball's half and a bit, with a little overlap.
         assert!(together < 2.0 * std::f64::consts::PI * 1.5, "{together}");
-        // From 50 degrees aside everything in view lies on some sheet.
-        let aside = camera(0.85);
+        // From 40 degrees aside, where the outermost view still sees all but the limb, next to nothing is bare; a sheet of the
+        // middle view alone leaves a broad crescent.
+        let aside = camera(0.7);
         let seen = ball(&aside);
-        let mut hits = vec![false; 64 * 64];
-        for (own, sheet) in sheets.iter().enumerate() {
-            for point in triangles(&sheets, own).iter().flatten().map(|&i| sheet.point(i).unwrap()) {
-                let pixel = aside.project(point);
-                hits[pixel.y as usize * 64 + pixel.x as usize] = true;
+        let bare = |sheets: &[Sheet<'_>]| {
+            let mut hits = vec![false; 64 * 64];
+            for (own, sheet) in sheets.iter().enumerate() {
+                for point in triangles(sheets, own).iter().flatten().map(|&i| sheet.point(i).unwrap()) {
+                    let pixel = aside.project(point);
+                    hits[pixel.y as usize * 64 + pixel.x as usize] = true;
+                }
             }
-        }
-        let near = |i: usize| [i, i - 1, i + 1, i - 64, i + 64].iter().any(|&j| hits[j]);
-        let missed =
-            (65..64 * 63).filter(|&i| seen[i] > 0.0 && seen[i - 1] > 0.0 && seen[i + 1] > 0.0 && !near(i)).count();
+            let near = |i: usize| [i, i - 1, i + 1, i - 64, i + 64].iter().any(|&j| hits[j]);
+            (65..64 * 63).filter(|&i| seen[i] > 0.0 && seen[i - 1] > 0.0 && seen[i + 1] > 0.0 && !near(i)).count()
+        };
         let count = seen.iter().filter(|d| **d > 0.0).count();
-        assert!(missed * 20 < count, "{missed} of {count} pixels are bare");
+        let (all, one) = (bare(&sheets), bare(&sheets[..1]));
+        assert!(all * 33 < count && one * 8 > count, "of {count} pixels {all} are bare, {one} with one sheet");
     }
 
     #[test]
