@@ -96,6 +96,15 @@ pub fn rehearse(options: &RecordOptions) -> Result<Rehearsal> {
 
 /// Makes a take from a video file or an image folder; the folder appears whole or not at all.
 pub fn record(options: &RecordOptions, reporter: &dyn Reporter) -> Result<RecordSummary> {
+    record_with(options, reporter, |_| Ok(()))
+}
+
+/// As [`record`]; `add` may write more into the folder before it comes to its place.
+pub fn record_with(
+    options: &RecordOptions,
+    reporter: &dyn Reporter,
+    add: impl FnOnce(&Path) -> std::result::Result<(), FormatError>,
+) -> Result<RecordSummary> {
     let begun = Instant::now();
     let reader = Reader::open_with_fps(&options.input, options.image_fps)?;
     check_output(options)?;
@@ -153,6 +162,7 @@ pub fn record(options: &RecordOptions, reporter: &dyn Reporter) -> Result<Record
     if reporter.cancelled() {
         return Err(CaptureError::Interrupted);
     }
+    add(dir.path())?;
     dir.commit()?;
     let of =
         |pick: fn(&FrameRecord) -> Option<f32>| timing::median(&frames.iter().filter_map(pick).collect::<Vec<_>>());

@@ -60,7 +60,7 @@ pub fn check(device: &Device, products: Products) -> Result<()> {
         return Err(TrainerError::Device {
             device: format!("{device:?}"),
             message: "knows no bfloat16".to_owned(),
-            hint: "leave out `--set model.products=bf16`".to_owned(),
+            hint: "leave out `--set 'model.products=\"bf16\"'`".to_owned(),
         });
     }
     Ok(())

@@ -7,7 +7,7 @@ use risorius_console::{AgainArgs, Console, Failure, Inputs, Stage, settings};
 use serde::Deserialize;
 use serde_json::json;
 
-use crate::record::{RecordOptions, RecordSummary, record, rehearse};
+use crate::record::{RecordOptions, RecordSummary, record_with, rehearse};
 
 /// Options of `capture record`.
 #[derive(Args, Debug)]
@@ -116,9 +116,10 @@ pub(super) fn run(args: &RecordArgs, console: &Console) -> Result<(), Failure> {
     let stage = Stage::new("capture record", &options.out, &asked)?;
     // Of a folder, the pictures in it and nothing below it.
     let inputs = Inputs::default().folder("input", &options.input, |name| !name.contains('/'));
-    let Some(running) = stage.begin(args.again, inputs, console)? else { return Ok(()) };
-    let summary = record(&options, console)?;
-    running.finish(&["take.toml", "frames.csv"])?;
+    let Some(mut running) = stage.begin(args.again, inputs, console)? else { return Ok(()) };
+    // A take is not made again over one that is there: it has to come with its record, or a kill in between would leave
+    // one that no command knows.
+    let summary = record_with(&options, console, |take| running.finish_in(take, &["take.toml", "frames.csv"]))?;
     console.finish(&summary, &text(&summary));
     Ok(())
 }

@@ -105,6 +105,12 @@ impl Running {
         self.record.finish(&self.result, outputs);
         self.record.write(&self.result)
     }
+
+    /// As [`Self::finish`], of a folder that is whole but not in its place yet: it comes there with its record.
+    pub fn finish_in(&mut self, folder: &Path, outputs: &[&str]) -> Result<(), FormatError> {
+        self.record.finish(folder, outputs);
+        self.record.write(folder)
+    }
 }
 
 /// Takes the lock of a result that is made without a record; it is let go when the value is dropped.
