@@ -54,7 +54,7 @@ impl Default for Settings {
         Self {
             seed: 0,
             images: 8,
-            samples: 100_000,
+            samples: 64_000,
             grid_rate: 1e-2,
             residual_rate: 2e-2,
             warp_rate: 3e-3,
