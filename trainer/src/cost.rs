@@ -107,12 +107,12 @@ impl ModelCost {
     /// The cost of a model for `frames` frames and these regions.
     pub fn of(config: &ModelConfig, groups: &[Range<usize>], frames: usize) -> Self {
         let c = config;
+        let spec = |size, output| spec(size, output, c.products);
         let k = groups.last().map_or(0, |g| g.end);
         let position = encoding::width(3, c.template_bands, true);
         let component = encoding::width(c.hyper_dims, c.hyper_bands, false);
         let sheet_position = encoding::width(3, c.sheet_bands, false);
-        let sheet =
-            |count, own| NetCost::grouped(count, sheet_position, own, &spec(c.sheet, Some(c.hyper_dims), c.products));
+        let sheet = |count, own| NetCost::grouped(count, sheet_position, own, &spec(c.sheet, Some(c.hyper_dims)));
         let only = |wanted: bool, cost: NetCost| if wanted { cost } else { NetCost::default() };
         let slices = match c.kind.slices() {
             SliceKind::PerAttribute => sheet(k, 1) + sheet(1, c.latent_dims),
@@ -130,7 +130,7 @@ impl ModelCost {
         let template = |size: crate::config::NetSize| {
             let color = MlpSpec { depth: 1, width: c.color_width, skip: None, output: Some(3), products: c.products };
             let view = encoding::width(3, c.view_bands, true);
-            NetCost::of(position + hyper_width(c, k), &spec(size, Some(1 + size.width), c.products))
+            NetCost::of(position + hyper_width(c, k), &spec(size, Some(1 + size.width)))
                 + NetCost::of(size.width + view, &color)
         };
         let level = |size, mask| LevelCost {
@@ -140,13 +140,10 @@ impl ModelCost {
         };
         Self {
             latent: if c.kind.has_latent() { frames * c.latent_dims } else { 0 },
-            attribute: only(
-                c.kind.has_attributes(),
-                NetCost::of(c.latent_dims, &spec(c.attribute, Some(k), c.products)),
-            ),
+            attribute: only(c.kind.has_attributes(), NetCost::of(c.latent_dims, &spec(c.attribute, Some(k)))),
             deformation: only(
                 c.kind.has_warp(),
-                NetCost::of(encoding::width(3, c.warp_bands, true) + c.latent_dims, &spec(c.warp, Some(6), c.products)),
+                NetCost::of(encoding::width(3, c.warp_bands, true) + c.latent_dims, &spec(c.warp, Some(6))),
             ),
             slices,
             coarse: level(c.template_coarse, c.mask_coarse.unwrap_or(c.mask)),

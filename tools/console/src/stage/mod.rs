@@ -102,8 +102,8 @@ impl Running {
         if record::is_file(&self.result) && !self.again {
             return Ok(());
         }
-        self.record.finish(&self.result, outputs);
-        self.record.write(&self.result)
+        let result = std::mem::take(&mut self.result);
+        self.finish_in(&result, outputs)
     }
 
     /// As [`Self::finish`], of a folder that is whole but not in its place yet: it comes there with its record.
