@@ -4,6 +4,7 @@ mod backward;
 mod forward;
 
 use self::backward::Backward;
+pub use self::backward::Lot;
 use self::forward::Forward;
 use crate::expression::{BlendGrad, MASKS};
 use crate::field::{Field, FieldGrad, MIDDLE, OUTPUT, Transposed};
@@ -140,16 +141,17 @@ impl Samples {
         }
     }
 
-    /// Adds the gradients that `d_density`, `d_color` and `d_masks` cause. Returns how many samples mattered.
+    /// Adds the gradients that `d_density`, `d_color` and `d_masks` cause; `lot` decides which samples take part. Returns how many did.
     pub fn backward(
         &mut self,
         field: &Field,
         transposed: &Transposed,
         deformation: Option<&Deformation<'_>>,
+        lot: Lot,
         grad: &mut FieldGrad,
         deformation_grad: Option<&mut DeformationGrad<'_>>,
     ) -> usize {
-        crate::simd::run(Backward { samples: self, field, transposed, deformation, grad, deformation_grad })
+        crate::simd::run(Backward { samples: self, field, transposed, deformation, lot, grad, deformation_grad })
     }
 }
 

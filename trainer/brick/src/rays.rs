@@ -8,7 +8,7 @@ mod through;
 
 use self::through::Through;
 use crate::cull::SEEN;
-use crate::evaluate::{Deformation, DeformationGrad, Samples};
+use crate::evaluate::{Deformation, DeformationGrad, Lot, Samples};
 use crate::expression::MASKS;
 use crate::field::{Field, FieldGrad, Transposed, monomials};
 use crate::march::March;
@@ -305,6 +305,7 @@ impl Rays {
         d_masks: Option<&[[f32; MASKS]]>,
         behind: &[[f32; 3]],
         prior: [Prior; 2],
+        lot: Lot,
         grads: [&mut FieldGrad; 2],
         deformation_grad: &mut DeformationGrad<'_>,
     ) {
@@ -328,10 +329,10 @@ impl Rays {
         }
         let fields: [Option<&Field>; 2] = [Some(&model.head.field), model.background.as_ref().map(|p| &p.field)];
         if let (Some(field), Some(transposed)) = (fields[1], transposed[1]) {
-            background.samples.backward(field, transposed, None, background_grad, None);
+            background.samples.backward(field, transposed, None, lot, background_grad, None);
         }
         if let (Some(field), Some(transposed)) = (fields[0], transposed[0]) {
-            head.samples.backward(field, transposed, Some(deformation), head_grad, Some(deformation_grad));
+            head.samples.backward(field, transposed, Some(deformation), lot, head_grad, Some(deformation_grad));
         }
     }
 }

@@ -188,6 +188,7 @@ fn gradients_are_those_of_the_twin() {
         None,
         &behind,
         prior,
+        Lot::default(),
         [&mut head, &mut background],
         &mut DeformationGrad {
             blend: &mut d_blend,
@@ -284,6 +285,7 @@ fn the_camera_s_gradient_is_that_of_the_twin() {
         None,
         &behind,
         [Prior::default(); 2],
+        Lot::default(),
         [&mut head, &mut unused],
         &mut DeformationGrad {
             blend: &mut d_blend,

@@ -2,12 +2,14 @@
 
 mod faint;
 
+use std::sync::OnceLock;
+
 use rayon::prelude::*;
 
 pub use self::faint::NOTHING;
 use crate::bake::{Baked, Crossed};
 use crate::evaluate::Deformation;
-use crate::expression::{CHANNELS, MASKS};
+use crate::expression::{CHANNELS, MASKS, REST};
 use crate::lattice::BRICK;
 use crate::march::March;
 use crate::model::{Brick, activation, deformation};
@@ -47,6 +49,9 @@ pub struct Face<'a> {
     blend: Vec<f32>,
     gates: Vec<f32>,
     latent: Vec<f32>,
+    /// B without the AUs of a set of regions (a bit each), once it was asked for: it stays while the camera moves, and
+    /// while only those AUs do.
+    without: [OnceLock<Vec<f32>>; 1 << REST],
     /// What is left out.
     pub skips: Skips,
 }
@@ -60,7 +65,8 @@ impl<'a> Face<'a> {
         let mut latent = Vec::new();
         model.latent_blend(code, &mut latent);
         let blend = vec![0.0; model.expression.lattice.slots * BRICK * CHANNELS];
-        let mut face = Self { model, activations, blend, gates, latent, skips: Skips::default() };
+        let (without, skips) = (Default::default(), Skips::default());
+        let mut face = Self { model, activations, blend, gates, latent, without, skips };
         face.blend_again(|_| true);
         face
     }
@@ -85,6 +91,9 @@ impl<'a> Face<'a> {
                 }
             }
             self.blend_again(|slot| stale[slot]);
+            for (_, without) in (0u8..).zip(&mut self.without).filter(|(set, _)| changed & !set != 0) {
+                without.take();
+            }
         }
         changed
     }

@@ -15,24 +15,26 @@ pub struct Skips {
     pub coarse_first: bool,
     /// Updates of bricks that no ray touched.
     pub untouched: bool,
+    /// Most of the samples whose gradients are faint.
+    pub faint: bool,
     /// Pixels that an edit of an expression cannot change.
     pub unchanged: bool,
 }
 
 impl Default for Skips {
     fn default() -> Self {
-        Self { empty_space: true, hidden: true, coarse_first: true, untouched: true, unchanged: true }
+        Self { empty_space: true, hidden: true, coarse_first: true, untouched: true, faint: true, unchanged: true }
     }
 }
 
 impl Skips {
     /// The names of all skips, as commands take them.
-    pub const NAMES: [&'static str; 5] = ["empty-space", "hidden", "coarse-first", "untouched", "unchanged"];
+    pub const NAMES: [&'static str; 6] = ["empty-space", "hidden", "coarse-first", "untouched", "faint", "unchanged"];
 
     /// Switches one off by its name; false if there is none of that name.
     pub fn switch_off(&mut self, name: &str) -> bool {
-        let Self { empty_space, hidden, coarse_first, untouched, unchanged } = self;
-        let all = [empty_space, hidden, coarse_first, untouched, unchanged];
+        let Self { empty_space, hidden, coarse_first, untouched, faint, unchanged } = self;
+        let all = [empty_space, hidden, coarse_first, untouched, faint, unchanged];
         let found = Self::NAMES.iter().zip(all).find(|(n, _)| **n == name);
         found.is_some_and(|(_, skip)| {
             *skip = false;

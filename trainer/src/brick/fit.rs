@@ -42,7 +42,7 @@ pub struct BrickSettings {
     pub expression_vertices: usize,
     /// Finest level of the head, vertices along an edge.
     pub finest_level: usize,
-    /// Steps between checkpoints.
+    /// Steps between checkpoints; 0 writes one when a minute has passed and it costs no more than a fortieth of the time.
     pub checkpoint_every: u64,
     /// The steps themselves.
     pub step: Settings,
@@ -58,7 +58,7 @@ impl Default for BrickSettings {
             region_share: 0.3,
             expression_vertices: 64,
             finest_level: 512,
-            checkpoint_every: 1000,
+            checkpoint_every: 0,
             step: Settings::default(),
         }
     }
@@ -130,6 +130,7 @@ pub fn fit(
     let (mut shown, mut rays, mut samples, mut finished) = (0, 0usize, 0usize, false);
     // What the last save will take of the time that was asked for.
     let mut save_secs = (0.02 * settings.budget_secs).min(2.0);
+    let mut saved_at = seconds();
     loop {
         let step = fitter.progress.step;
         let done = match settings.steps {
@@ -166,10 +167,15 @@ pub fn fit(
         if step % 250 == 0 {
             reporter.note(&format!("step {step}: {:.2} dB, stage {}", recent.psnr_db(), fitter.progress.stage));
         }
-        if step % settings.checkpoint_every == 0 {
+        let due = match settings.checkpoint_every {
+            0 => seconds() - saved_at >= (40.0 * save_secs).max(60.0),
+            every => step.is_multiple_of(every),
+        };
+        if due {
             let begun = Instant::now();
             save(&mut fitter, &views, seconds(), data, settings, run, false)?;
             save_secs = begun.elapsed().as_secs_f64();
+            saved_at = seconds();
         }
     }
     log.finish()?;

@@ -57,7 +57,7 @@ pub(super) struct FitArgs {
     /// Image scale to fit, such as 4 [default: the dataset's]
     #[arg(long, value_name = "S")]
     pub(super) image_scale: Option<u32>,
-    /// Steps between checkpoints
+    /// Steps between checkpoints [default for brick: by time, a minute or more apart]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(super) checkpoint_every: Option<u64>,
     /// Change a setting, as in settings.toml, such as step.grid_rate=0.005 or model.hyper_dims=4; may be repeated

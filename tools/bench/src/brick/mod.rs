@@ -86,7 +86,7 @@ pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     if cli.skip_steps > 0 {
         let steps = cli.skip_steps.to_string();
         skipped_fits.push(measured("all-skips", ["--steps", &steps], None)?);
-        for skip in ["empty-space", "hidden", "coarse-first", "untouched"] {
+        for skip in ["empty-space", "hidden", "coarse-first", "untouched", "faint"] {
             skipped_fits.push(measured(&format!("no-{skip}"), ["--steps", &steps], Some(skip))?);
         }
     }

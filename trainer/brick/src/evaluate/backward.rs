@@ -11,14 +11,44 @@ use crate::matmul;
 use crate::simd::{Simd, Task};
 use crate::sixteen::{POINTS, Sixteen};
 
-/// Samples whose gradients sum to less than this are left out of the way back.
-const QUIET: f32 = 1e-5;
+/// Samples whose gradients sum to less than this say nothing.
+const NOTHING: f32 = 1e-12;
+
+/// Which samples go the way back. Those whose gradients sum to `below` or more do; of the others each goes with the chance
+/// sum / `below`, and then counts for as many as stayed behind: the mean over draws is what all of them would give.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Lot {
+    /// From here on a sample goes for certain; 0 sends all.
+    pub below: f32,
+    /// 0–1, drawn anew for every call.
+    pub ticket: f32,
+}
+
+impl Lot {
+    /// What the next sample's gradient is multiplied by, if it goes. Chances are added up, and a sample goes whenever the
+    /// sum passes a whole number: as fair as a draw for each, with less luck in it.
+    #[inline(always)]
+    fn draw(&mut self, sum: f32) -> Option<f32> {
+        if sum < NOTHING || sum.is_nan() {
+            return None;
+        }
+        if sum >= self.below {
+            return Some(1.0);
+        }
+        self.ticket += sum / self.below;
+        (self.ticket >= 1.0).then(|| {
+            self.ticket -= 1.0;
+            self.below / sum
+        })
+    }
+}
 
 pub(super) struct Backward<'a, 'g> {
     pub(super) samples: &'a mut Samples,
     pub(super) field: &'a Field,
     pub(super) transposed: &'a Transposed,
     pub(super) deformation: Option<&'a Deformation<'a>>,
+    pub(super) lot: Lot,
     pub(super) grad: &'a mut FieldGrad,
     pub(super) deformation_grad: Option<&'a mut DeformationGrad<'g>>,
 }
@@ -28,13 +58,23 @@ impl Task for Backward<'_, '_> {
 
     #[inline(always)]
     fn run<S: Simd>(self) -> usize {
-        let Self { samples: b, field, transposed: Transposed(turned), deformation, grad, mut deformation_grad } = self;
+        let Self {
+            samples: b,
+            field,
+            transposed: Transposed(turned),
+            deformation,
+            mut lot,
+            grad,
+            mut deformation_grad,
+        } = self;
         // Samples without weight are most of them: the rest moves together.
         b.kept.clear();
         for s in 0..b.len() {
             let d = b.d_color[s];
             let sum = b.d_density[s].abs() + d[0].abs() + d[1].abs() + d[2].abs();
-            if sum >= QUIET {
+            if let Some(weight) = lot.draw(sum) {
+                b.d_density[s] *= weight;
+                b.d_color[s] = d.map(|d| weight * d);
                 b.kept.push(s as u32);
             }
         }
@@ -180,5 +220,47 @@ impl Task for Backward<'_, '_> {
             }
         }
         n
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    /// What a lot lets through is worth what went in: nearly so in each draw, exactly in the mean over all tickets.
+    #[test]
+    fn a_lot_is_fair() {
+        const TICKETS: usize = 4000;
+        let mut rng = ChaCha8Rng::seed_from_u64(6);
+        let sums: Vec<f32> = (0..500).map(|_| 10f32.powf(rng.random::<f32>() * 6.0 - 7.0)).collect();
+        let all: f64 = sums.iter().map(|&s| f64::from(s)).sum();
+        let below = 1e-3;
+        let mut mean = vec![0.0; sums.len()];
+        let mut went = 0;
+        for ticket in 0..TICKETS {
+            let mut lot = Lot { below, ticket: (ticket as f32 + 0.5) / TICKETS as f32 };
+            let worth: Vec<f64> = sums.iter().map(|&s| lot.draw(s).map_or(0.0, |w| f64::from(w * s))).collect();
+            went += worth.iter().filter(|w| **w > 0.0).count();
+            assert!((worth.iter().sum::<f64>() - all).abs() < 1.01 * f64::from(below), "ticket {ticket}");
+            mean.iter_mut().zip(worth).for_each(|(m, w)| *m += w / TICKETS as f64);
+        }
+        for (mean, &sum) in mean.iter().zip(&sums) {
+            assert!((mean - f64::from(sum)).abs() < 1e-6 + 0.02 * f64::from(sum), "{mean} of {sum}");
+        }
+        assert!(went < TICKETS * sums.len() / 2, "most of these stay behind");
+    }
+
+    #[test]
+    fn nothing_is_drawn_from_nothing_and_everything_goes_without_a_lot() {
+        let mut lot = Lot { below: 1e-3, ticket: 0.999_999 };
+        for sum in [0.0, f32::MIN_POSITIVE, 1e-13, f32::NAN] {
+            assert_eq!(lot.draw(sum), None, "{sum}");
+        }
+        assert!(lot.draw(1e-6).is_some_and(|w| (w - 1e3).abs() < 1.0));
+        let mut lot = Lot::default();
+        assert!([1e-12, 1e-6, 1.0, f32::MAX].iter().all(|&sum| lot.draw(sum) == Some(1.0)));
     }
 }

@@ -3,7 +3,7 @@
 use rand::Rng;
 
 use super::{Pixel, Settings, Views, activations, rng_for};
-use crate::evaluate::DeformationGrad;
+use crate::evaluate::{DeformationGrad, Lot};
 use crate::expression::{BlendGrad, CHANNELS, MASKS};
 use crate::field::{FieldGrad, Transposed};
 use crate::lattice::BRICK;
@@ -37,6 +37,8 @@ pub(super) struct Lane {
 pub(super) struct Image {
     pub(super) view: usize,
     pub(super) annotated: bool,
+    /// Whether its latent code acts in this step.
+    pub(super) coded: bool,
     pub(super) activations: Vec<f32>,
     blend: Vec<f32>,
     pub(super) d_blend: BlendGrad,
@@ -68,18 +70,19 @@ pub(super) struct Work<'a> {
 }
 
 impl Image {
-    fn begin(&mut self, work: &Work<'_>, views: &impl Views, view: usize) {
+    fn begin(&mut self, work: &Work<'_>, views: &impl Views, number: u64, view: usize) {
         let model = work.model;
         self.view = view;
+        self.coded = work.learns_codes() && work.settings.is_coded(number);
         self.annotated = views.attributes(view).is_some();
-        self.activations = activations(model, views, view, work.learns_codes());
+        self.activations = activations(model, views, view, self.coded);
         let numbers = model.expression.lattice.slots * BRICK * CHANNELS;
         // Written whole, brick by brick.
         self.blend.resize(numbers, 0.0);
         self.d_blend.fit(model.expression.lattice.slots);
         self.d_latent.clear();
         self.d_latent.resize(model.latent_lattice.slots * BRICK * 4, 0.0);
-        if work.learns_codes() {
+        if self.coded {
             model.latent_blend(model.code(view), &mut self.latent);
         }
         self.d_motion = [0.0; 6];
@@ -111,8 +114,8 @@ impl Lane {
         self.begin(work.model);
         let mut images = std::mem::take(&mut self.images);
         images.resize_with(mine.len(), Image::default);
-        for (image, &(_, view)) in images.iter_mut().zip(mine) {
-            image.begin(work, views, view);
+        for (image, &(number, view)) in images.iter_mut().zip(mine) {
+            image.begin(work, views, number, view);
         }
         // Brick by brick for all images: a brick's residuals stay in the cache.
         let expression = &work.model.expression;
@@ -136,8 +139,8 @@ impl Lane {
     fn image(&mut self, work: &Work<'_>, views: &impl Views, image: &mut Image, number: u64) {
         let (model, s, view) = (work.model, work.settings, image.view);
         let mut rng = rng_for(s.seed, work.step, 2 + number);
-        let Image { blend, d_blend, latent, d_latent, d_motion, .. } = image;
-        let latent = work.learns_codes().then_some(latent.as_slice());
+        let Image { blend, d_blend, latent, d_latent, d_motion, coded, .. } = image;
+        let latent = coded.then_some(latent.as_slice());
         let deformation = deformation(model, blend, &work.gates, latent);
         let motion = &model.motions.values[view * 6..(view + 1) * 6];
         let motion = (work.moves && s.refine_cameras).then_some(motion);
@@ -169,6 +172,7 @@ impl Lane {
                 d_masks.as_deref(),
                 &behind,
                 work.prior,
+                Lot { below: if s.skips.faint { s.faint } else { 0.0 }, ticket: rng.random() },
                 [&mut self.head, &mut self.background],
                 &mut DeformationGrad {
                     blend: d_blend,

@@ -49,7 +49,10 @@ impl Own {
             self.attributes(model, image.view, &d[..k], holds);
         }
         if let Some(weight) = holds.latent_weight {
-            self.codes(model, images, d_activations, weight * holds.scale);
+            let coded = images.iter().zip(d_activations).filter(|(image, _)| image.coded);
+            let (images, d_activations): (Vec<&Image>, Vec<&[f32]>) =
+                coded.map(|(&image, d)| (image, d.as_slice())).unzip();
+            self.codes(model, &images, &d_activations, weight * holds.scale);
         }
         for image in images.iter().filter(|_| holds.cameras) {
             let row = &mut self.motions.values[image.view * 6..(image.view + 1) * 6];
@@ -77,7 +80,7 @@ impl Own {
     }
 
     /// ω of the images and the displacements they mix.
-    fn codes(&mut self, model: &Brick, images: &[&Image], d_activations: &[Vec<f32>], weight: f32) {
+    fn codes(&mut self, model: &Brick, images: &[&Image], d_activations: &[&[f32]], weight: f32) {
         let k = model.layout.region_of.len();
         let code = |image: &Image, j: usize| model.code(image.view)[j];
         let d_codes: Vec<Vec<f32>> = self

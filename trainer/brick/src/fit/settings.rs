@@ -7,7 +7,7 @@ use crate::skips::Skips;
 
 /// What decides a fit, besides the data.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct Settings {
     /// Seed of every random draw.
     pub seed: u64,
@@ -33,14 +33,19 @@ pub struct Settings {
     pub spread: [f32; 2],
     /// How far the AUs' features and displacements move towards their neighbours' mean every 16 steps.
     pub smooth: [f32; 2],
+    /// Samples with a smaller gradient go the way back by lot, see [`crate::evaluate::Lot`].
+    pub faint: f32,
     /// Weight of the masks.
     pub mask_weight: f32,
     /// Weight of eq. 17, first and last.
     pub attribute_weight: [f32; 2],
     /// Weight of ‖ω‖².
     pub latent_weight: f32,
-    /// Whether each image has a displacement of its own.
+    /// Whether each image has a code of its own.
     pub latent: bool,
+    /// Share of a step's images whose codes act. The others are explained by their AUs alone, or the codes would take over,
+    /// slowly, what AUs do.
+    pub code_share: f32,
     /// Whether each camera may move a little.
     pub refine_cameras: bool,
     /// Finest divisions of the head box and planes of the background.
@@ -64,10 +69,12 @@ impl Default for Settings {
             haze: [1e-5, 0.0],
             spread: [0.06, 0.02],
             smooth: [0.2, 0.4],
+            faint: 5e-4,
             mask_weight: 0.01,
             attribute_weight: [0.1, 0.01],
             latent_weight: 1e-2,
             latent: true,
+            code_share: 0.5,
             refine_cameras: false,
             finest: [160, 160],
             skips: Skips::default(),
@@ -76,6 +83,11 @@ impl Default for Settings {
 }
 
 impl Settings {
+    /// Whether the code of a step's image of this number acts.
+    pub(super) fn is_coded(&self, number: u64) -> bool {
+        (number as f32) < self.code_share * self.images as f32
+    }
+
     pub(super) fn prior(&self, stage: usize) -> [Prior; 2] {
         let haze = self.haze[usize::from(stage >= 3)];
         let spread = if stage >= 1 { self.spread } else { [0.0; 2] };

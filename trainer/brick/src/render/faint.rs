@@ -71,7 +71,8 @@ impl Face<'_> {
             return BTreeMap::new();
         }
         let wanted: Vec<[f32; 3]> = rays.iter().map(|&ray| directions[ray]).collect();
-        rays.into_iter().zip(self.render_with(&self.blend_without(set), origin, &wanted)).collect()
+        let blend = self.without[usize::from(set)].get_or_init(|| self.blend_without(set));
+        rays.into_iter().zip(self.render_with(blend, origin, &wanted)).collect()
     }
 
     /// A bit for each region with an AU that acts.
