@@ -51,7 +51,7 @@ pub struct Face<'a> {
     latent: Vec<f32>,
     /// B without the AUs of a set of regions (a bit each), once it was asked for: it stays while the camera moves, and
     /// while only those AUs do.
-    without: [OnceLock<Vec<f32>>; 1 << REST],
+    without: Box<[OnceLock<Vec<f32>>; 1 << REST]>,
     /// What is left out.
     pub skips: Skips,
 }
@@ -65,7 +65,7 @@ impl<'a> Face<'a> {
         let mut latent = Vec::new();
         model.latent_blend(code, &mut latent);
         let blend = vec![0.0; model.expression.lattice.slots * BRICK * CHANNELS];
-        let (without, skips) = (Default::default(), Skips::default());
+        let (without, skips) = (Box::default(), Skips::default());
         let mut face = Self { model, activations, blend, gates, latent, without, skips };
         face.blend_again(|_| true);
         face
@@ -91,7 +91,7 @@ impl<'a> Face<'a> {
                 }
             }
             self.blend_again(|slot| stale[slot]);
-            for (_, without) in (0u8..).zip(&mut self.without).filter(|(set, _)| changed & !set != 0) {
+            for (_, without) in (0u8..).zip(self.without.iter_mut()).filter(|(set, _)| changed & !set != 0) {
                 without.take();
             }
         }

@@ -164,3 +164,27 @@ fn an_au_changes_nothing_where_its_mask_rounds_to_nothing() {
     assert!(as_it_came > 0.5 / 255.0, "without it nothing would have shown either: {as_it_came}");
     assert!(inside > 2.0 * as_it_came, "AUs still act inside: {inside}");
 }
+
+#[test]
+fn what_a_face_keeps_from_earlier_pictures_does_not_show() {
+    let mut model = soft();
+    model.expression.residuals.iter_mut().flat_map(|t| &mut t.values).for_each(|v| *v *= 40.0);
+    let directions = directions();
+    let mut face = Face::new(&model, &[-1.0, -1.0]);
+    let aside = [-0.2, 0.1, -1.9];
+    let mut kept = 0;
+    for (attributes, origin) in [
+        ([1.0, 0.7], ORIGIN),
+        ([1.0, 0.7], aside),
+        ([1.0, -0.2], aside),
+        ([0.3, -0.2], ORIGIN),
+        ([0.3, -0.2], aside),
+        ([-1.0, 0.9], ORIGIN),
+    ] {
+        face.edit(&attributes);
+        kept += face.without.iter().filter(|blend| blend.get().is_some()).count();
+        let shown = face.render(origin, &directions);
+        assert_eq!(shown, Face::new(&model, &attributes).render(origin, &directions), "{attributes:?}");
+    }
+    assert!(kept > 2, "nothing was kept: {kept}");
+}
