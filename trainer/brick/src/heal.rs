@@ -10,7 +10,7 @@ use crate::evaluate::{Deformation, Samples};
 use crate::lattice::BRICK;
 use crate::math;
 use crate::model::{Brick, Part, deformation};
-use crate::occupancy::{COUNT, Occupancy, PARTS, cell_and_bit, cell_position};
+use crate::occupancy::{COUNT, Occupancy, PARTS, cell_and_bit};
 
 /// A part that a ray loses this much in, over one sample, is opened.
 const OPAQUE_ENOUGH: f32 = 0.1;
@@ -86,29 +86,18 @@ fn beside_open(occupancy: &Occupancy) -> Vec<[usize; 3]> {
         let (cell, bit) = cell_and_bit(part);
         occupancy.bits[cell] >> bit & 1 == 1
     };
-    let mut marked = vec![false; 8 * COUNT];
-    for cell in (0..COUNT).filter(|&c| occupancy.bits[c] != 0) {
-        let first = cell_position(cell).map(|v| 2 * v);
-        for bit in 0..8 {
-            let at = [first[0] + (bit & 1), first[1] + (bit >> 1 & 1), first[2] + (bit >> 2)];
-            if !is_open(at) {
-                continue;
-            }
-            let range = |a: usize| at[a].saturating_sub(1)..(at[a] + 2).min(PARTS);
-            for z in range(2) {
-                for y in range(1) {
-                    for x in range(0) {
-                        marked[(z * PARTS + y) * PARTS + x] = true;
-                    }
-                }
-            }
-        }
+    let at = |i: usize| [i % PARTS, i / PARTS % PARTS, i / PARTS / PARTS];
+    let mut near: Vec<bool> = (0..8 * COUNT).map(|i| is_open(at(i))).collect();
+    // Along one axis after the other.
+    for stride in [1, PARTS, PARTS * PARTS] {
+        near = (0..near.len())
+            .map(|i| {
+                let along = i / stride % PARTS;
+                near[i] || (along > 0 && near[i - stride]) || (along + 1 < PARTS && near[i + stride])
+            })
+            .collect();
     }
-    (0..8 * COUNT)
-        .filter(|&i| marked[i])
-        .map(|i| [i % PARTS, i / PARTS % PARTS, i / PARTS / PARTS])
-        .filter(|&part| !is_open(part))
-        .collect()
+    (0..8 * COUNT).filter(|&i| near[i]).map(at).filter(|&part| !is_open(part)).collect()
 }
 
 /// Those of `parts` that hold something.
