@@ -72,11 +72,13 @@ pub(crate) fn of_settings(settings: &BrickSettings) -> Checked {
     }
     within("finest_level", settings.finest_level, 0..=2048)?;
     s.finest.iter().try_for_each(|&n| within("step.finest", n, 1..=MOST_ALONG))?;
-    if !(0.0..=1.0).contains(&settings.region_share) {
-        return Err(format!("`region_share` is {}, expected 0 to 1", settings.region_share));
+    for (name, share) in [("region_share", settings.region_share), ("step.code_share", s.code_share)] {
+        if !(0.0..=1.0).contains(&share) {
+            return Err(format!("`{name}` is {share}, expected 0 to 1"));
+        }
     }
     let rates = [s.grid_rate, s.residual_rate, s.warp_rate, s.net_rate, s.image_rate, s.final_rate];
-    let weights = [s.mask_weight, s.latent_weight, s.faint, s.code_share];
+    let weights = [s.mask_weight, s.latent_weight, s.faint];
     let pairs = [s.haze, s.spread, s.smooth, s.attribute_weight];
     let all = rates.iter().chain(&weights).chain(pairs.as_flattened());
     match all.copied().find(|v| !(0.0..=1e6).contains(v)) {

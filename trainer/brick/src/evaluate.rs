@@ -141,7 +141,8 @@ impl Samples {
         }
     }
 
-    /// Adds the gradients that `d_density`, `d_color` and `d_masks` cause; `lot` decides which samples take part. Returns how many did.
+    /// Adds the gradients that `d_density`, `d_color` and `d_masks` cause; `lot` decides which samples take part. Returns how
+    /// many did.
     pub fn backward(
         &mut self,
         field: &Field,

@@ -148,6 +148,17 @@ impl Expression {
         }
     }
 
+    /// Which slots belong to any of `regions`, a bit each.
+    pub fn slots_in(&self, regions: u8) -> Vec<bool> {
+        let mut within = vec![false; self.lattice.slots];
+        for (_, slots) in self.slots_of.iter().enumerate().filter(|(n, _)| regions >> n & 1 == 1) {
+            for &slot in slots {
+                within[slot as usize] = true;
+            }
+        }
+        within
+    }
+
     /// Lists again which vertices each region allows, after `allowed` or `slots_of` changed.
     pub fn list_vertices(&mut self) {
         let Self { allowed, slots_of, vertices_of, .. } = self;

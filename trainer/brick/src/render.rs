@@ -82,14 +82,7 @@ impl<'a> Face<'a> {
             }
         }
         if changed != 0 {
-            let mut stale = vec![false; self.model.expression.lattice.slots];
-            for (n, slots) in self.model.expression.slots_of.iter().enumerate() {
-                if changed >> n & 1 == 1 {
-                    for &slot in slots {
-                        stale[slot as usize] = true;
-                    }
-                }
-            }
+            let stale = self.model.expression.slots_in(changed);
             self.blend_again(|slot| stale[slot]);
             for (_, without) in (0u8..).zip(self.without.iter_mut()).filter(|(set, _)| changed & !set != 0) {
                 without.take();

@@ -252,6 +252,9 @@ impl FitSettings {
         if self.ray_order == RayOrder::Epochs && self.region_share > 0.0 {
             return fail("`ray_order = \"epochs\"` takes every ray once: it goes with `region_share = 0` only");
         }
+        if self.checkpoint_every == 0 {
+            return fail("`checkpoint_every` must not be 0");
+        }
         if !self.interval.is_multiple_of(2) {
             return fail("`interval` must be even: the frame in the middle is held out");
         }

@@ -318,11 +318,20 @@ impl<'a> Bench<'a> {
                 "fit",
                 "trainer",
                 // Checkpoints by steps: those by time come more often where instructions are counted.
-                [
-                    &["fit", &dataset, "--out", &run, "--steps", "6", "--set", "step.samples=4000"][..],
-                    &["--checkpoint-every", "100", "--threads", "1"],
-                ]
-                .concat(),
+                vec![
+                    "fit",
+                    &dataset,
+                    "--out",
+                    &run,
+                    "--steps",
+                    "6",
+                    "--set",
+                    "step.samples=4000",
+                    "--checkpoint-every",
+                    "100",
+                    "--threads",
+                    "1",
+                ],
             ),
             ("render", "trainer", vec!["render", &run, "--out", &picture, "--threads", "1"]),
         ];

@@ -91,13 +91,7 @@ impl Face<'_> {
             .zip(&expression.region_of)
             .map(|(&a, &n)| if left_out(n) { 0.0 } else { a })
             .collect();
-        let mut stale = vec![false; expression.lattice.slots];
-        for (n, slots) in expression.slots_of.iter().enumerate().filter(|(n, _)| left_out(*n)) {
-            debug_assert!(n < REST, "the rest is never left out");
-            for &slot in slots {
-                stale[slot as usize] = true;
-            }
-        }
+        let stale = expression.slots_in(set);
         let mut blend = self.blend.clone();
         blend
             .par_chunks_exact_mut(BRICK * CHANNELS)
