@@ -3,7 +3,7 @@
 use glam::DVec2;
 use image::RgbImage;
 use risorius_brick::Skips;
-use risorius_brick::render::{BakedFace, BakedPicture, Face, Shown};
+use risorius_brick::render::{BakedFace, BakedPicture, Face, FacePicture};
 use risorius_formats::{Camera, Reporter};
 
 use crate::avatar::{Avatar, Render, Wanted};
@@ -35,7 +35,6 @@ pub struct Studio<'a> {
 struct Last<'a> {
     camera: Camera,
     wanted: Vec<Wanted>,
-    directions: Vec<[f32; 3]>,
     picture: Picture<'a>,
     /// What is behind everything.
     backdrop: RgbImage,
@@ -44,7 +43,7 @@ struct Last<'a> {
 }
 
 enum Picture<'a> {
-    Direct { face: Face<'a>, shown: Vec<Shown> },
+    Direct { face: Face<'a>, picture: FacePicture },
     Baked(BakedPicture),
 }
 
@@ -107,9 +106,9 @@ impl<'a> Studio<'a> {
         if let Some(last) = self.last.as_mut().filter(|_| same_camera) {
             let changed = match (&mut last.picture, &mut self.baked) {
                 (Picture::Baked(picture), Some((face, _))) => face.redraw(picture),
-                (Picture::Direct { face, shown }, _) => {
+                (Picture::Direct { face, picture }, _) => {
                     let changed = face.edit(attributes);
-                    face.redraw(origin, &last.directions, shown, changed)
+                    face.redraw(picture, changed)
                 }
                 (Picture::Baked(_), None) => Vec::new(),
             };
@@ -119,19 +118,31 @@ impl<'a> Studio<'a> {
         let wanted = self.avatar.wanted(camera);
         let directions: Vec<[f32; 3]> = wanted.iter().map(|(_, d)| d.to_array()).collect();
         let picture = if let Some((face, _)) = &mut self.baked {
-            Picture::Baked(face.picture(origin, directions.clone()))
+            Picture::Baked(face.picture(origin, directions))
         } else {
-            let mut face = Face::new(model, attributes);
-            face.skips = self.look.skips;
-            let shown = face.render(origin, &directions);
-            Picture::Direct { face, shown }
+            // What a face keeps for its expression, and a picture's memory, serve again.
+            let kept = self.last.take().and_then(|last| match last.picture {
+                Picture::Direct { face, picture } => Some((face, picture)),
+                Picture::Baked(_) => None,
+            });
+            let (face, picture) = if let Some((mut face, mut picture)) = kept {
+                face.edit(attributes);
+                face.take_again(&mut picture, origin, directions);
+                (face, picture)
+            } else {
+                let mut face = Face::new(model, attributes);
+                face.skips = self.look.skips;
+                let picture = face.picture(origin, directions);
+                (face, picture)
+            };
+            Picture::Direct { face, picture }
         };
         let mut render = Render::empty(camera, self.avatar.saved.table.regions.len());
         if let Some(plate) = plate {
             plate.paint(&mut render.rgb);
         }
         let backdrop = render.rgb.clone();
-        let mut last = Last { camera: *camera, wanted, directions, picture, backdrop, render };
+        let mut last = Last { camera: *camera, wanted, picture, backdrop, render };
         last.paint(0..last.wanted.len());
         self.last = Some(last);
     }
@@ -142,7 +153,7 @@ impl<'a> Studio<'a> {
         let Last { camera, wanted, picture, render, .. } = last;
         let (width, origin) = (camera.intrinsics.width as usize, camera.center().as_vec3().to_array());
         let shown = match picture {
-            Picture::Direct { shown, .. } => &*shown,
+            Picture::Direct { picture, .. } => &*picture.shown,
             Picture::Baked(baked) => &baked.shown,
         };
         render.head.clear();
@@ -177,7 +188,7 @@ impl Last<'_> {
     fn paint(&mut self, rays: impl IntoIterator<Item = usize>) {
         let Self { wanted, picture, backdrop, render, .. } = self;
         let shown = match picture {
-            Picture::Direct { shown, .. } => &*shown,
+            Picture::Direct { picture, .. } => &*picture.shown,
             Picture::Baked(baked) => &baked.shown,
         };
         for ray in rays {
@@ -186,7 +197,7 @@ impl Last<'_> {
             let bytes = render.rgb.as_mut()[pixel * 3..pixel * 3 + 3].iter_mut();
             for ((byte, color), behind) in bytes.zip(shown.color).zip(behind) {
                 let value = color + shown.left * f32::from(*behind) / 255.0;
-                *byte = (value.clamp(0.0, 1.0) * 255.0).round() as u8;
+                *byte = (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
             }
             render.depth[pixel] = shown.depth;
             for (mask, value) in render.masks.iter_mut().zip(shown.masks) {

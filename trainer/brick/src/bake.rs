@@ -123,6 +123,7 @@ impl Baked {
                     })
                     .collect();
                 samples.forward(field, deformation, 0);
+                samples.color_all(field, 0);
                 let value = |i: usize| {
                     let [r, g, b] = samples.color(i).map(math::sigmoid);
                     [samples.density(i), r, g, b]

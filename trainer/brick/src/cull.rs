@@ -146,7 +146,7 @@ fn flush(
     cells: &mut Vec<usize>,
     out: &mut Vec<(usize, f32)>,
 ) {
-    samples.forward_density(&part.field, deformation);
+    samples.forward(&part.field, deformation, 0);
     out.extend(cells.iter().enumerate().map(|(i, &cell)| (cell, math::density(samples.density(i)))));
     samples.clear();
     cells.clear();

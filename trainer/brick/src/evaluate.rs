@@ -5,7 +5,7 @@ mod forward;
 
 use self::backward::Backward;
 pub use self::backward::Lot;
-use self::forward::Forward;
+use self::forward::{Colors, Forward, Which};
 use crate::expression::{BlendGrad, MASKS};
 use crate::field::{Field, FieldGrad, MIDDLE, OUTPUT, Transposed};
 use crate::lattice::Lattice;
@@ -110,20 +110,40 @@ impl Samples {
         self.middle[i * MIDDLE] = -1e9;
     }
 
+    /// Whether a region's brick holds sample `i`.
+    #[inline(always)]
+    pub(crate) fn in_region(&self, i: usize) -> bool {
+        self.in_region[i]
+    }
+
     /// Raw colour of sample `i`.
     #[inline(always)]
     pub fn color(&self, i: usize) -> [f32; 3] {
         [self.out[i * OUTPUT], self.out[i * OUTPUT + 1], self.out[i * OUTPUT + 2]]
     }
 
-    /// Evaluates `field` at the samples from `from` on.
+    /// Densities (and masks) of `field` at the samples from `from` on.
     pub fn forward(&mut self, field: &Field, deformation: Option<&Deformation<'_>>, from: usize) {
         if from < self.len() {
-            crate::simd::run(Forward { samples: self, field, deformation, from, colors: true });
+            crate::simd::run(Forward { samples: self, field, deformation, from });
         }
     }
 
-    /// As [`Self::forward`] from the first sample on, with the instructions of `level`.
+    /// Colours of the samples from `from` on, after [`Self::forward`].
+    pub fn color_all(&mut self, field: &Field, from: usize) {
+        if from < self.len() {
+            crate::simd::run(Colors { samples: self, field, which: Which::From(from) });
+        }
+    }
+
+    /// Colours of some samples, after [`Self::forward`]; the way back does not know of them.
+    pub fn color_some(&mut self, field: &Field, some: &[u32]) {
+        if !some.is_empty() {
+            crate::simd::run(Colors { samples: self, field, which: Which::Some(some) });
+        }
+    }
+
+    /// As [`Self::forward`] and [`Self::color_all`] from the first sample on, with the instructions of `level`.
     #[cfg(test)]
     pub(crate) fn forward_at(
         &mut self,
@@ -131,14 +151,8 @@ impl Samples {
         field: &Field,
         deformation: Option<&Deformation<'_>>,
     ) {
-        crate::simd::run_at(level, Forward { samples: self, field, deformation, from: 0, colors: true });
-    }
-
-    /// Evaluates only the density, at all samples; they need no ray.
-    pub fn forward_density(&mut self, field: &Field, deformation: Option<&Deformation<'_>>) {
-        if !self.is_empty() {
-            crate::simd::run(Forward { samples: self, field, deformation, from: 0, colors: false });
-        }
+        crate::simd::run_at(level, Forward { samples: self, field, deformation, from: 0 });
+        crate::simd::run_at(level, Colors { samples: self, field, which: Which::From(0) });
     }
 
     /// Adds the gradients that `d_density`, `d_color` and `d_masks` cause; `lot` decides which samples take part. Returns how

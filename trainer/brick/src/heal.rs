@@ -115,7 +115,7 @@ fn dense(part: &Part, deformation: Option<&Deformation<'_>>, parts: &[[usize; 3]
                 }
             }
             samples.ray.resize(samples.point.len(), 0);
-            samples.forward_density(&part.field, deformation);
+            samples.forward(&part.field, deformation, 0);
             let largest = |i: usize| {
                 (i * POINTS..(i + 1) * POINTS).map(|p| math::density(samples.density(p))).fold(0.0, f32::max)
             };

@@ -1,4 +1,7 @@
-//! Small functions of the innermost loops.
+//! Small functions of the innermost loops: of one number, and of sixteen side by side with the same bits.
+#![allow(unsafe_code, reason = "arithmetic on vectors; what it asks of the machine stands at `Simd`")]
+
+use crate::simd::Simd;
 
 /// Raw densities above this count as this; the gradient passes unchanged.
 pub const DENSITY_CLAMP: f32 = 8.0;
@@ -29,6 +32,55 @@ pub fn density(raw: f32) -> f32 {
     exp((raw - DENSITY_SHIFT).min(DENSITY_CLAMP))
 }
 
+/// [`exp`] of sixteen numbers.
+///
+/// # Safety
+/// As the operations of [`Simd`].
+#[inline(always)]
+pub(crate) unsafe fn exp_each<S: Simd>(x: S::V) -> S::V {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let t = S::mul(x, S::splat(std::f32::consts::LOG2_E));
+        // The number second: where it is none, it stays so.
+        let t = S::max(S::splat(-126.0), S::min(S::splat(126.0), t));
+        let magic = S::splat(12_582_912.0);
+        let whole = S::sub(S::add(t, magic), magic);
+        let f = S::mul(S::sub(t, whole), S::splat(std::f32::consts::LN_2));
+        let mut p = S::splat(1.0 / 720.0);
+        for term in [1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0] {
+            p = S::add(S::splat(term), S::mul(f, p));
+        }
+        let power = S::i_mul(S::i_add(S::i_from(whole), S::i_splat(127)), S::i_splat(1 << 23));
+        S::mul(S::i_bits(power), p)
+    }
+}
+
+/// [`sigmoid`] of sixteen numbers.
+///
+/// # Safety
+/// As the operations of [`Simd`].
+#[inline(always)]
+pub(crate) unsafe fn sigmoid_each<S: Simd>(x: S::V) -> S::V {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let one = S::splat(1.0);
+        S::div(one, S::add(one, exp_each::<S>(S::sub(S::splat(-0.0), x))))
+    }
+}
+
+/// Opacity of a step of length `step` through sixteen raw densities: 1 − exp(−σ · step).
+///
+/// # Safety
+/// As the operations of [`Simd`].
+#[inline(always)]
+pub(crate) unsafe fn opacity_each<S: Simd>(raw: S::V, step: f32) -> S::V {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let sigma = exp_each::<S>(S::min(S::sub(raw, S::splat(DENSITY_SHIFT)), S::splat(DENSITY_CLAMP)));
+        S::sub(S::splat(1.0), exp_each::<S>(S::mul(S::sub(S::splat(-0.0), sigma), S::splat(step))))
+    }
+}
+
 /// a · b
 #[inline(always)]
 pub fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
@@ -54,6 +106,46 @@ pub fn rotate(w: [f32; 3], p: [f32; 3]) -> [f32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simd::{Level, Task, run_at};
+
+    /// Densities' opacities and sigmoids of sixteen numbers.
+    struct Each([f32; 16]);
+
+    impl Task for Each {
+        type Output = [[f32; 16]; 3];
+
+        #[inline(always)]
+        fn run<S: Simd>(self) -> Self::Output {
+            let mut out = [[0.0; 16]; 3];
+            // SAFETY: arrays of 16.
+            unsafe {
+                let x = S::load(self.0.as_ptr());
+                S::store(out[0].as_mut_ptr(), exp_each::<S>(x));
+                S::store(out[1].as_mut_ptr(), sigmoid_each::<S>(x));
+                S::store(out[2].as_mut_ptr(), opacity_each::<S>(x, 0.03));
+            }
+            out
+        }
+    }
+
+    #[test]
+    fn sixteen_side_by_side_are_each_by_itself_to_the_bit() {
+        let hard = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN, -1e9, 1e9, 0.0, -0.0, 1e-30];
+        let mut all: Vec<f32> = (0..1590).map(|i| (i as f32 - 800.0) * 0.173).collect();
+        all.extend(hard);
+        for level in [Level::Scalar, Level::Avx2, Level::Avx512] {
+            for x in all.as_chunks::<16>().0 {
+                let found = run_at(level, Each(*x));
+                for (i, &x) in x.iter().enumerate() {
+                    let expected = [exp(x), sigmoid(x), 1.0 - exp(-density(x) * 0.03)];
+                    for (found, expected) in found.iter().zip(expected) {
+                        let same = found[i].to_bits() == expected.to_bits() || (found[i].is_nan() && expected.is_nan());
+                        assert!(same, "{level:?} {x}: {} {expected}", found[i]);
+                    }
+                }
+            }
+        }
+    }
 
     #[test]
     fn exp_and_density_stay_finite_and_right() {

@@ -4,8 +4,9 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::evaluate::Samples;
 use crate::expression::{BlendGrad, Seen};
-use crate::field::{LAYER, MIDDLE};
+use crate::field::{LAYER, MIDDLE, monomials};
 use crate::lattice::BRICK;
 use crate::model::{HeadBox, LATENT, Layout, deformation};
 use crate::reference::{Twin, Which};
@@ -54,7 +55,7 @@ fn lively(background: bool) -> Brick {
 }
 
 const ACTIVATIONS: [f32; 2 + LATENT] = [0.7, 0.4, 0.3, -0.2, 0.1, 0.2, -0.3, 0.15, 0.05, -0.1];
-const LOOK: Look = Look { divisions: 24, planes: 20, opaque: 1e-4, batch: 64, everywhere: false };
+const LOOK: Look = Look { divisions: 24, planes: 20, opaque: 1e-4, batch: 64, faint: None, everywhere: false };
 
 fn directions(count: usize) -> Vec<[f32; 3]> {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
@@ -361,7 +362,7 @@ fn skips_change_no_pixel_by_more_than_a_512th() {
     let p = prepare(&model);
     let d = deformation(&model, &p.blend, &p.gates, Some(&p.latent));
     let directions = directions(256);
-    let opaque = 1.0 / 600.0;
+    let (opaque, faint) = (1.0 / 640.0, Some(1.0 / 2600.0));
     let show = |look: Look| {
         let mut rays = Rays::default();
         rays.forward(&model, &d, None, ORIGIN, &directions, || 0.5, look);
@@ -369,18 +370,29 @@ fn skips_change_no_pixel_by_more_than_a_512th() {
         (
             rays.color.iter().zip(&rays.left).map(|(c, l)| [c[0], c[1], c[2], *l]).collect::<Vec<_>>(),
             counts[0] + counts[1],
+            rays.faint,
         )
     };
-    let (skipped, few) = show(Look { opaque, ..LOOK });
+    let (skipped, few, without_color) = show(Look { opaque, faint, ..LOOK });
     let mut ended = 0;
-    for look in [Look { opaque, everywhere: true, ..LOOK }, Look { opaque: 0.0, ..LOOK }] {
-        let (whole, many) = show(look);
-        assert!(many > few, "{many} samples without the skip, {few} with it");
+    for look in [
+        Look { opaque, faint, everywhere: true, ..LOOK },
+        Look { opaque: 0.0, faint, ..LOOK },
+        Look { opaque, ..LOOK },
+        Look { opaque: 0.0, everywhere: true, ..LOOK },
+    ] {
+        let (whole, many, _) = show(look);
+        assert!(
+            many > few || (look.opaque, look.everywhere) == (opaque, false),
+            "{many} samples, {few} with all skips"
+        );
         for (r, (a, b)) in skipped.iter().zip(&whole).enumerate() {
             ended += usize::from(a[3] < opaque);
             let apart = (0..4).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max);
             assert!(apart < 1.0 / 512.0, "ray {r}: {apart}");
         }
     }
+    let faint = without_color.iter().filter(|w| **w > 0.0).count();
+    assert!(faint > 5, "only {faint} rays have samples without colour");
     assert!(ended > 20, "only {ended} rays end");
 }

@@ -213,7 +213,7 @@ impl Twin<'_> {
         let head = self.head_samples(origin, world);
         let mut ray = Ray { color: [0.0; 3], left: 1.0, masks: [0.0; MASKS], spread: [0.0; 2] };
         ray.spread[0] = composite(&head, &mut ray, self.opaque);
-        if ray.left > 1.0 / 600.0 {
+        if ray.left > 1.0 / 640.0 {
             let background = self.background_samples(origin, direction);
             ray.spread[1] = composite(&background, &mut ray, self.opaque);
         }

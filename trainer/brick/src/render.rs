@@ -2,11 +2,13 @@
 
 mod faint;
 
-use std::sync::OnceLock;
+use std::collections::BTreeMap;
+use std::sync::{Mutex, OnceLock};
 
 use rayon::prelude::*;
 
 pub use self::faint::NOTHING;
+use self::faint::Without;
 use crate::bake::{Baked, Crossed};
 use crate::evaluate::Deformation;
 use crate::expression::{CHANNELS, MASKS, REST};
@@ -18,11 +20,14 @@ use crate::sixteen::POINTS;
 use crate::skips::Skips;
 
 /// Rays that travel together.
-const CHUNK: usize = 512;
+const CHUNK: usize = 256;
 /// Samples that go through the network together.
 const BATCH: usize = 256;
 /// A ray that lets less than this through is over. No colour exceeds 1, so what is left out changes a pixel by less.
-const OPAQUE: f32 = 1.0 / 600.0;
+const OPAQUE: f32 = 1.0 / 640.0;
+/// Samples that are less than this of a ray together show no colour; with [`OPAQUE`], below 1/512.
+const FAINT: f32 = 1.0 / 2600.0;
+const _: () = assert!(OPAQUE + FAINT < 1.0 / 512.0, "what skips may change");
 
 /// What a ray shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -52,8 +57,21 @@ pub struct Face<'a> {
     /// B without the AUs of a set of regions (a bit each), once it was asked for: it stays while the camera moves, and
     /// while only those AUs do.
     without: Box<[OnceLock<Vec<f32>>; 1 << REST]>,
+    /// Memory of rays that are through.
+    scratch: Mutex<Vec<Rays>>,
     /// What is left out.
     pub skips: Skips,
+}
+
+/// A picture of a [`Face`] that can be brought up to date after an edit.
+#[derive(Clone, Debug)]
+pub struct FacePicture {
+    origin: [f32; 3],
+    directions: Vec<[f32; 3]>,
+    /// What each ray shows.
+    pub shown: Vec<Shown>,
+    /// What rays show without the AUs of a set of regions (a bit each), as far as it was asked for.
+    without: Box<Without>,
 }
 
 impl<'a> Face<'a> {
@@ -65,8 +83,8 @@ impl<'a> Face<'a> {
         let mut latent = Vec::new();
         model.latent_blend(code, &mut latent);
         let blend = vec![0.0; model.expression.lattice.slots * BRICK * CHANNELS];
-        let (without, skips) = (Box::default(), Skips::default());
-        let mut face = Self { model, activations, blend, gates, latent, without, skips };
+        let (without, scratch, skips) = (Box::default(), Mutex::default(), Skips::default());
+        let mut face = Self { model, activations, blend, gates, latent, without, scratch, skips };
         face.blend_again(|_| true);
         face
     }
@@ -102,33 +120,49 @@ impl<'a> Face<'a> {
 
     /// What rays from `origin` along `directions` (unit, world) show, in parallel.
     pub fn render(&self, origin: [f32; 3], directions: &[[f32; 3]]) -> Vec<Shown> {
-        let mut shown = self.render_with(&self.blend, origin, directions);
-        self.hush(origin, directions, &mut shown);
-        shown
+        self.picture(origin, directions.to_vec()).shown
     }
 
-    /// The same by another B, as its rays come.
-    fn render_with(&self, blend: &[f32], origin: [f32; 3], directions: &[[f32; 3]]) -> Vec<Shown> {
-        let mut out = vec![Shown::default(); directions.len()];
-        out.par_chunks_mut(CHUNK).zip(directions.par_chunks(CHUNK)).for_each_init(
-            Rays::default,
-            |rays, (out, directions)| {
-                self.send(rays, blend, origin, directions, |i, shown| out[i] = shown);
-            },
-        );
-        out
+    /// The same, to be brought up to date later.
+    pub fn picture(&self, origin: [f32; 3], directions: Vec<[f32; 3]>) -> FacePicture {
+        let mut picture = FacePicture { origin, directions: Vec::new(), shown: Vec::new(), without: Box::default() };
+        self.take_again(&mut picture, origin, directions);
+        picture
+    }
+
+    /// The same in the memory of another picture.
+    pub fn take_again(&self, picture: &mut FacePicture, origin: [f32; 3], directions: Vec<[f32; 3]>) {
+        (picture.origin, picture.directions) = (origin, directions);
+        picture.without.iter_mut().for_each(BTreeMap::clear);
+        picture.shown.resize(picture.directions.len(), Shown::default());
+        self.render_with(&self.blend, origin, &picture.directions, &mut picture.shown);
+        self.hush(picture, None);
     }
 
     /// Brings a picture up to date after [`Self::edit`] named the regions that `changed`; gives the rays that had to be
     /// sent. All others would show the same to the bit.
-    pub fn redraw(&self, origin: [f32; 3], directions: &[[f32; 3]], picture: &mut [Shown], changed: u8) -> Vec<usize> {
-        let stale: Vec<usize> =
-            (0..picture.len()).filter(|&i| picture[i].touched & changed != 0 || !self.skips.unchanged).collect();
-        let wanted: Vec<[f32; 3]> = stale.iter().map(|&i| directions[i]).collect();
-        for (&i, shown) in stale.iter().zip(self.render(origin, &wanted)) {
-            picture[i] = shown;
+    pub fn redraw(&self, picture: &mut FacePicture, changed: u8) -> Vec<usize> {
+        let stale = |shown: &Shown| shown.touched & changed != 0 || !self.skips.unchanged;
+        let stale: Vec<usize> = (0..picture.shown.len()).filter(|&i| stale(&picture.shown[i])).collect();
+        for (_, without) in (0u8..).zip(picture.without.iter_mut()).filter(|(set, _)| changed & !set != 0) {
+            without.clear();
         }
+        let wanted: Vec<[f32; 3]> = stale.iter().map(|&i| picture.directions[i]).collect();
+        let mut shown = vec![Shown::default(); wanted.len()];
+        self.render_with(&self.blend, picture.origin, &wanted, &mut shown);
+        stale.iter().zip(shown).for_each(|(&i, shown)| picture.shown[i] = shown);
+        self.hush(picture, Some(&stale));
         stale
+    }
+
+    /// What rays show by another B, as they come.
+    fn render_with(&self, blend: &[f32], origin: [f32; 3], directions: &[[f32; 3]], out: &mut [Shown]) {
+        out.par_chunks_mut(CHUNK).zip(directions.par_chunks(CHUNK)).for_each_init(
+            || Borrowed::new(&self.scratch),
+            |rays, (out, directions)| {
+                self.send(&mut rays.rays, blend, origin, directions, |i, shown| out[i] = shown);
+            },
+        );
     }
 
     fn deformation(&self) -> Deformation<'_> {
@@ -150,6 +184,7 @@ impl<'a> Face<'a> {
             planes: model.planes,
             opaque: if self.skips.hidden { OPAQUE } else { 0.0 },
             batch: BATCH,
+            faint: self.skips.faint.then_some(FAINT),
             everywhere: !self.skips.empty_space,
         };
         rays.forward(model, &deformation, None, origin, directions, || 0.5, look);
@@ -164,6 +199,27 @@ impl<'a> Face<'a> {
                 touched: rays.touched[r],
             };
             show(r, shown);
+        }
+    }
+}
+
+/// Rays' memory on loan: new memory costs a page fault for each 4 KiB.
+struct Borrowed<'a> {
+    pool: &'a Mutex<Vec<Rays>>,
+    rays: Rays,
+}
+
+impl<'a> Borrowed<'a> {
+    fn new(pool: &'a Mutex<Vec<Rays>>) -> Self {
+        let rays = pool.lock().ok().and_then(|mut pool| pool.pop()).unwrap_or_default();
+        Self { pool, rays }
+    }
+}
+
+impl Drop for Borrowed<'_> {
+    fn drop(&mut self) {
+        if let Ok(mut pool) = self.pool.lock() {
+            pool.push(std::mem::take(&mut self.rays));
         }
     }
 }

@@ -65,18 +65,18 @@ fn an_edited_picture_is_that_rendered_from_nothing() {
     let model = soft();
     let directions = directions();
     let mut face = Face::new(&model, &[-1.0, -1.0]);
-    let mut picture = face.render(ORIGIN, &directions);
+    let mut picture = face.picture(ORIGIN, directions.clone());
     let mut fewest = directions.len();
     for attributes in [[0.5, -1.0], [0.5, 0.2], [-1.0, 0.2], [-1.0, 0.2], [1.0, 1.0]] {
         let changed = face.edit(&attributes);
-        let sent = face.redraw(ORIGIN, &directions, &mut picture, changed).len();
+        let sent = face.redraw(&mut picture, changed).len();
         fewest = fewest.min(sent);
-        assert_eq!(picture, Face::new(&model, &attributes).render(ORIGIN, &directions), "{attributes:?}");
+        assert_eq!(picture.shown, Face::new(&model, &attributes).render(ORIGIN, &directions), "{attributes:?}");
     }
     assert_eq!(fewest, 0, "an edit that changes nothing sends no ray");
     let changed = face.edit(&[-1.0, 1.0]);
     assert_eq!(changed, 0b01, "only the first region's AU moved");
-    let sent = face.redraw(ORIGIN, &directions, &mut picture, changed).len();
+    let sent = face.redraw(&mut picture, changed).len();
     assert!(sent > 0 && sent < directions.len() * 3 / 4, "{sent} of {} rays", directions.len());
 }
 
@@ -147,7 +147,9 @@ fn an_au_changes_nothing_where_its_mask_rounds_to_nothing() {
         let pictures = [-1.0, 1.0].map(|value| {
             attributes[n] = value;
             let face = Face::new(&model, &attributes);
-            (face.render(ORIGIN, &directions), face.render_with(&face.blend, ORIGIN, &directions))
+            let mut as_it_comes = vec![Shown::default(); directions.len()];
+            face.render_with(&face.blend, ORIGIN, &directions, &mut as_it_comes);
+            (face.render(ORIGIN, &directions), as_it_comes)
         });
         let [(rest, rest_came), (edited, edited_came)] = pictures;
         for ((a, b), (c, d)) in rest.iter().zip(&edited).zip(rest_came.iter().zip(&edited_came)) {
@@ -172,6 +174,7 @@ fn what_a_face_keeps_from_earlier_pictures_does_not_show() {
     let directions = directions();
     let mut face = Face::new(&model, &[-1.0, -1.0]);
     let aside = [-0.2, 0.1, -1.9];
+    let mut picture = face.picture(aside, directions[..7].to_vec());
     let mut kept = 0;
     for (attributes, origin) in [
         ([1.0, 0.7], ORIGIN),
@@ -183,8 +186,8 @@ fn what_a_face_keeps_from_earlier_pictures_does_not_show() {
     ] {
         face.edit(&attributes);
         kept += face.without.iter().filter(|blend| blend.get().is_some()).count();
-        let shown = face.render(origin, &directions);
-        assert_eq!(shown, Face::new(&model, &attributes).render(origin, &directions), "{attributes:?}");
+        face.take_again(&mut picture, origin, directions.clone());
+        assert_eq!(picture.shown, Face::new(&model, &attributes).render(origin, &directions), "{attributes:?}");
     }
     assert!(kept > 2, "nothing was kept: {kept}");
 }

@@ -15,7 +15,7 @@ pub struct Skips {
     pub coarse_first: bool,
     /// Updates of bricks that no ray touched.
     pub untouched: bool,
-    /// Most of the samples whose gradients are faint.
+    /// On the way back, most of the samples whose gradients are faint; in pictures, colours of samples that hardly show.
     pub faint: bool,
     /// Pixels that an edit of an expression cannot change.
     pub unchanged: bool,

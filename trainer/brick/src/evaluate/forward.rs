@@ -14,7 +14,6 @@ pub(super) struct Forward<'a> {
     pub(super) field: &'a Field,
     pub(super) deformation: Option<&'a Deformation<'a>>,
     pub(super) from: usize,
-    pub(super) colors: bool,
 }
 
 impl Task for Forward<'_> {
@@ -22,19 +21,12 @@ impl Task for Forward<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self) {
-        let Self { samples: b, field, deformation, from, colors } = self;
+        let Self { samples: b, field, deformation, from } = self;
         let n = b.len();
         // Rows from `from` on, in whole blocks; rows beyond `n` are scratch.
         let rows = (n - from).next_multiple_of(16);
         let padded = from + rows;
-        for (v, width) in [
-            (&mut b.x1, INPUT),
-            (&mut b.h1, HIDDEN),
-            (&mut b.middle, MIDDLE),
-            (&mut b.x3, COLOR_INPUT),
-            (&mut b.h3, HIDDEN),
-            (&mut b.out, OUTPUT),
-        ] {
+        for (v, width) in [(&mut b.x1, INPUT), (&mut b.h1, HIDDEN), (&mut b.middle, MIDDLE)] {
             room(v, padded * width);
         }
         b.warped.resize(n, [0.0; 3]);
@@ -85,19 +77,62 @@ impl Task for Forward<'_> {
         let (x1, h1) = (&b.x1[from * INPUT..], &mut b.h1[from * HIDDEN..]);
         matmul::product::<S, INPUT, HIDDEN>(x1, &w[LAYER[0]..], h1, rows, true);
         matmul::product::<S, HIDDEN, MIDDLE>(h1, &w[LAYER[1]..], &mut b.middle[from * MIDDLE..], rows, false);
-        if !colors {
-            return;
+    }
+}
+
+/// Whose colours.
+pub(super) enum Which<'a> {
+    /// All samples from one on.
+    From(usize),
+    /// These.
+    Some(&'a [u32]),
+}
+
+/// The colour part of the network.
+pub(super) struct Colors<'a> {
+    pub(super) samples: &'a mut Samples,
+    pub(super) field: &'a Field,
+    pub(super) which: Which<'a>,
+}
+
+impl Task for Colors<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self) {
+        let Self { samples: b, field, which } = self;
+        // Rows where the inputs begin, how many, and where the colours go: some samples are worked out one after the other
+        // behind the last, for no way back needs their rows.
+        let n = b.len();
+        let (from, count) = match which {
+            Which::From(from) => (from, n - from),
+            Which::Some(some) => (n, some.len()),
+        };
+        let rows = count.next_multiple_of(16);
+        let padded = from + rows;
+        for (v, width) in [(&mut b.x3, COLOR_INPUT), (&mut b.h3, HIDDEN), (&mut b.out, OUTPUT)] {
+            room(v, padded * width);
         }
-        for s in from..n {
-            let x = &mut b.x3[s * COLOR_INPUT..(s + 1) * COLOR_INPUT];
+        for k in 0..count {
+            let s = match which {
+                Which::From(from) => from + k,
+                Which::Some(some) => some[k] as usize,
+            };
+            let x = &mut b.x3[(from + k) * COLOR_INPUT..(from + k + 1) * COLOR_INPUT];
             x[..MIDDLE].copy_from_slice(&b.middle[s * MIDDLE..(s + 1) * MIDDLE]);
             x[0] = 1.0;
             x[MIDDLE..].copy_from_slice(&b.directions[b.ray[s] as usize]);
         }
-        b.x3[n * COLOR_INPUT..padded * COLOR_INPUT].fill(0.0);
+        b.x3[(from + count) * COLOR_INPUT..padded * COLOR_INPUT].fill(0.0);
+        let w = &field.net.values;
         let (x3, h3) = (&b.x3[from * COLOR_INPUT..], &mut b.h3[from * HIDDEN..]);
         matmul::product::<S, COLOR_INPUT, HIDDEN>(x3, &w[LAYER[2]..], h3, rows, true);
         matmul::product::<S, HIDDEN, OUTPUT>(h3, &w[LAYER[3]..], &mut b.out[from * OUTPUT..], rows, false);
+        if let Which::Some(some) = which {
+            for (k, &s) in some.iter().enumerate() {
+                b.out.copy_within((n + k) * OUTPUT..(n + k) * OUTPUT + 3, s as usize * OUTPUT);
+            }
+        }
     }
 }
 

@@ -199,6 +199,7 @@ impl Fitter {
             planes: of(self.settings.finest[1]),
             opaque: if self.settings.skips.hidden { OPAQUE } else { 0.0 },
             batch: BATCH,
+            faint: None,
             everywhere: false,
         }
     }

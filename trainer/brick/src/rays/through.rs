@@ -20,6 +20,7 @@ pub(super) struct Through<'a> {
     pub(super) step: f32,
     pub(super) look: Look,
     pub(super) left: &'a mut [f32],
+    pub(super) faint: &'a mut [f32],
     pub(super) color: &'a mut [[f32; 3]],
 }
 
@@ -28,7 +29,7 @@ impl Task for Through<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self) {
-        let Self { pass, marches, part, deformation, step, look, left, color } = self;
+        let Self { pass, marches, part, deformation, step, look, left, faint, color } = self;
         let occupancy: &Occupancy = &part.occupancy;
         while !pass.alive.is_empty() {
             let from = pass.samples.len();
@@ -43,7 +44,8 @@ impl Task for Through<'_> {
             if look.everywhere {
                 pass.silence(from, occupancy);
             }
-            pass.composite(from, step, look.opaque, left, color);
+            pass.weigh_samples::<S>(from, step, look.opaque, left);
+            pass.color_samples::<S>(&part.field, from, look.faint.map(|limit| (limit, &mut *faint)), color);
         }
     }
 }

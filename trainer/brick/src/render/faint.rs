@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use super::{Face, Shown};
+use super::{Face, FacePicture, Shown};
 use crate::expression::{CHANNELS, HARD, QUIET, REST};
 use crate::lattice::BRICK;
 
@@ -30,33 +30,40 @@ struct Faint {
     share: f32,
 }
 
+/// What rays show without the AUs of each set of regions.
+pub(super) type Without = [BTreeMap<usize, Shown>; 1 << REST];
+
 impl Face<'_> {
-    /// Takes from rays what AUs do where their regions' masks are nothing.
-    pub(super) fn hush(&self, origin: [f32; 3], directions: &[[f32; 3]], shown: &mut [Shown]) {
+    /// Takes from rays (all, if none are named) what AUs do where their regions' masks are nothing.
+    pub(super) fn hush(&self, picture: &mut FacePicture, rays: Option<&[usize]>) {
+        let FacePicture { origin, directions, shown, without } = picture;
         let acting = self.acting_regions();
-        // What rays with a faint mask show without that region alone.
-        let mut alone: Vec<BTreeMap<usize, Shown>> = Vec::with_capacity(REST);
+        // Who asks for what rays show without a region alone: those with a faint mask of it.
+        let low = |shown: &Shown, n: usize| shown.touched & acting & 1 << n != 0 && shown.masks[n] < FULL;
+        let some = |ray: &usize| (0..REST).any(|n| low(&shown[*ray], n));
+        let rays: Vec<usize> = match rays {
+            Some(rays) => rays.iter().copied().filter(some).collect(),
+            None => (0..shown.len()).into_par_iter().filter(some).collect(),
+        };
+        let low = |ray: usize, n: usize| low(&shown[ray], n);
         for n in 0..REST {
-            let low = |s: &Shown| s.touched & acting & 1 << n != 0 && s.masks[n] < FULL;
-            let rays: Vec<usize> = (0..shown.len()).filter(|&ray| low(&shown[ray])).collect();
-            alone.push(self.without(1 << n, origin, directions, rays));
+            let wanted = rays.iter().copied().filter(|&ray| low(ray, n));
+            self.complete(1 << n, *origin, directions, wanted, &mut without[1 << n]);
         }
-        let faint: Vec<Faint> = (0..shown.len())
-            .filter_map(|ray| Faint::of(ray, &shown[ray], [0, 1, 2].map(|n| alone[n].get(&ray))))
-            .collect();
-        let sets: Vec<BTreeMap<usize, Shown>> = (0..1u8 << REST)
-            .map(|set| match set.count_ones() {
-                0 => BTreeMap::new(),
-                1 => std::mem::take(&mut alone[set.trailing_zeros() as usize]),
-                _ => {
-                    let wanted = faint.iter().filter(|f| f.nothing == set || f.all == set).map(|f| f.ray).collect();
-                    self.without(set, origin, directions, wanted)
-                }
+        let faint: Vec<Faint> = rays
+            .iter()
+            .filter_map(|&ray| {
+                let alone = [0, 1, 2].map(|n| without[1 << n].get(&ray).filter(|_| low(ray, n)));
+                Faint::of(ray, &shown[ray], alone)
             })
             .collect();
+        for set in (0..1u8 << REST).filter(|set| set.count_ones() > 1) {
+            let wanted = faint.iter().filter(|f| f.nothing == set || f.all == set).map(|f| f.ray);
+            self.complete(set, *origin, directions, wanted, &mut without[usize::from(set)]);
+        }
         for f in faint {
             let main = &mut shown[f.ray];
-            let of = |set: u8| sets[usize::from(set)].get(&f.ray);
+            let of = |set: u8| without[usize::from(set)].get(&f.ray).filter(|_| set != 0);
             let (first, second) = (*of(f.nothing).unwrap_or(main), *of(f.all).unwrap_or(main));
             for n in (0..REST).filter(|n| f.all >> n & 1 == 1) {
                 main.masks[n] = main.masks[n].max(of(1 << n).map_or(0.0, |s| s.masks[n]));
@@ -65,14 +72,24 @@ impl Face<'_> {
         }
     }
 
-    /// What some rays show without the AUs of the regions in `set`.
-    fn without(&self, set: u8, origin: [f32; 3], directions: &[[f32; 3]], rays: Vec<usize>) -> BTreeMap<usize, Shown> {
+    /// Sends those of `wanted` that are not known yet, without the AUs of the regions in `set`.
+    fn complete(
+        &self,
+        set: u8,
+        origin: [f32; 3],
+        directions: &[[f32; 3]],
+        wanted: impl Iterator<Item = usize>,
+        known: &mut BTreeMap<usize, Shown>,
+    ) {
+        let rays: Vec<usize> = wanted.filter(|ray| !known.contains_key(ray)).collect();
         if rays.is_empty() {
-            return BTreeMap::new();
+            return;
         }
         let wanted: Vec<[f32; 3]> = rays.iter().map(|&ray| directions[ray]).collect();
         let blend = self.without[usize::from(set)].get_or_init(|| self.blend_without(set));
-        rays.into_iter().zip(self.render_with(blend, origin, &wanted)).collect()
+        let mut shown = vec![Shown::default(); rays.len()];
+        self.render_with(blend, origin, &wanted, &mut shown);
+        known.extend(rays.into_iter().zip(shown));
     }
 
     /// A bit for each region with an AU that acts.

@@ -174,6 +174,10 @@ impl Simd for Avx512 {
         unsafe { _mm512_cvtepi32_ps(v) }
     }
     #[inline(always)]
+    unsafe fn i_bits(v: __m512i) -> __m512 {
+        unsafe { _mm512_castsi512_ps(v) }
+    }
+    #[inline(always)]
     unsafe fn i_store(p: *mut u32, v: __m512i) {
         unsafe { _mm512_storeu_si512(p.cast(), v) }
     }
@@ -341,6 +345,10 @@ impl Simd for Avx2 {
     #[inline(always)]
     unsafe fn i_to(v: [__m256i; 2]) -> [__m256; 2] {
         unsafe { [_mm256_cvtepi32_ps(v[0]), _mm256_cvtepi32_ps(v[1])] }
+    }
+    #[inline(always)]
+    unsafe fn i_bits(v: [__m256i; 2]) -> [__m256; 2] {
+        unsafe { [_mm256_castsi256_ps(v[0]), _mm256_castsi256_ps(v[1])] }
     }
     #[inline(always)]
     unsafe fn i_store(p: *mut u32, v: [__m256i; 2]) {
