@@ -14,7 +14,7 @@ use risorius_brick::Brick;
 use risorius_formats::{ActionUnit, AttributeSpec, Camera, Reporter};
 
 use crate::brick::plate::Plate;
-use crate::brick::store::{self, Content};
+use crate::brick::store;
 use crate::config::MaskRendering;
 use crate::error::{Result, TrainerError};
 use crate::fit::{host, points, rows};
@@ -81,8 +81,8 @@ impl Avatar {
                 Fitted::Confies { saved: Box::new(confies.clone()), model, device: device.clone() }
             }
             SavedField::Brick(brick) => {
-                let read = store::read(&run.join("model.safetensors"), brick, Content::Avatar, &[])?;
-                Fitted::Brick { model: Box::new(read.model), plate: read.plate }
+                let (model, plate) = store::avatar::read(&run.join("model.safetensors"), brick)?;
+                Fitted::Brick { model: Box::new(model), plate }
             }
         };
         Ok(Self { saved, field })

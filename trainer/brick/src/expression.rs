@@ -14,7 +14,6 @@
 mod learn;
 mod smooth;
 
-#[cfg(test)]
 pub(crate) use self::learn::backward;
 pub use self::learn::{BlendGrad, Seen};
 use crate::lattice::{BRICK, Lattice};
@@ -39,6 +38,13 @@ pub const QUIET: f32 = 1e-4;
 #[inline(always)]
 pub fn reach(mask: f32) -> f32 {
     ((mask - REACH) / (1.0 - REACH)).max(0.0)
+}
+
+/// The slope of a mask in its logit, also where the mask is cut to 0: a mask may come back.
+#[inline(always)]
+pub(crate) fn gate_slope(logit: f32) -> f32 {
+    let m = crate::math::sigmoid(logit);
+    (m * (1.0 - m)).max(1e-3)
 }
 
 /// The residual grids of all AUs and the masks.

@@ -2,7 +2,8 @@
 //!
 //! ```text
 //! lattice, table ─▶ field, expression ─▶ evaluate ─▶ rays ─▶ fit   (cull: what is skipped)
-//!        ▲ simd, matmul, math                          └───▶ render
+//!        ▲ simd, matmul, math                          ├───▶ render
+//!                                                      └───▶ batch  (for losses of one's own)
 //! ```
 //!
 //! Grids of features in bricks and two tiny networks stand in for the paper's template F; residual grids per AU,
@@ -16,6 +17,7 @@
 #![allow(clippy::needless_range_loop, reason = "loops over axes, channels and parts index several arrays at once")]
 
 mod bake;
+pub mod batch;
 pub mod cull;
 pub mod evaluate;
 pub mod expression;

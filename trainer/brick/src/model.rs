@@ -188,6 +188,22 @@ impl Brick {
         }
     }
 
+    /// What rays show depends on these tables: the head's levels and network, the background's, residuals, masks, latent
+    /// displacements.
+    pub fn shown_by(&self) -> Vec<&Table> {
+        let parts = [Some(&self.head), self.background.as_ref()];
+        let fields = parts.into_iter().flatten().flat_map(|p| p.field.features.iter().chain([&p.field.net]));
+        fields.chain(&self.expression.residuals).chain([&self.expression.masks]).chain(&self.latent_bases).collect()
+    }
+
+    /// As [`Self::shown_by`], to be changed.
+    pub fn shown_by_mut(&mut self) -> Vec<&mut Table> {
+        let parts = [Some(&mut self.head), self.background.as_mut()];
+        let fields = parts.into_iter().flatten().flat_map(|p| p.field.features.iter_mut().chain([&mut p.field.net]));
+        let Expression { residuals, masks, .. } = &mut self.expression;
+        fields.chain(residuals).chain([masks]).chain(&mut self.latent_bases).collect()
+    }
+
     /// Numbers that are learned.
     pub fn parameters(&self) -> usize {
         let field =

@@ -97,6 +97,14 @@ impl PageGrad {
         Some(&self.values[page * PAGE..(page + 1) * PAGE])
     }
 
+    /// Adds what was gathered to an array of all blocks.
+    pub(crate) fn add_to(&self, whole: &mut [f32]) {
+        for (page, &block) in self.blocks.iter().enumerate() {
+            let sum = &mut whole[block as usize * PAGE..(block as usize + 1) * PAGE];
+            sum.iter_mut().zip(&self.values[page * PAGE..]).for_each(|(a, b)| *a += b);
+        }
+    }
+
     /// As one array of all blocks.
     #[cfg(test)]
     pub(crate) fn dense(&self) -> Vec<f32> {

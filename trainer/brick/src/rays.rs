@@ -14,7 +14,6 @@ use crate::evaluate::{Deformation, DeformationGrad, Lot};
 use crate::expression::MASKS;
 use crate::field::{Field, FieldGrad, Transposed};
 use crate::march::March;
-use crate::math;
 use crate::model::{BackgroundFrame, Brick, Part};
 use crate::simd::{self, Simd, Task};
 
@@ -39,6 +38,21 @@ pub(crate) struct Rays {
     /// Weight of each ray's samples that stayed without colour.
     faint: Vec<f32>,
     behind: Vec<Behind>,
+}
+
+/// Gradients of what rays show, one per ray.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Upstream<'a> {
+    /// Of the colour.
+    pub(crate) color: &'a [[f32; 3]],
+    /// Of the transmittance behind everything.
+    pub(crate) left: &'a [f32],
+    /// Of the masks.
+    pub(crate) masks: Option<&'a [[f32; MASKS]]>,
+    /// Of the depth's two sums.
+    pub(crate) depth: Option<&'a [[f32; 2]]>,
+    /// What the priors are multiplied by; 1 without.
+    pub(crate) regular: Option<&'a [f32]>,
 }
 
 /// How a chunk is looked at.
@@ -68,6 +82,14 @@ impl Look {
 }
 
 impl Rays {
+    /// The priors' value for each ray: thin density and spread weights of head and background.
+    pub(crate) fn regular(&self, look: Look, prior: [Prior; 2]) -> Vec<f32> {
+        let mut out = vec![0.0; self.color.len()];
+        self.head.add_regular(2.0 / look.divisions as f32, prior[0], &mut out);
+        self.background.add_regular(2.0 / look.planes as f32, prior[1], &mut out);
+        out
+    }
+
     /// Samples taken in the head and in the background.
     pub(crate) fn sample_counts(&self) -> [usize; 2] {
         [self.head.samples.len(), self.background.samples.len()]
@@ -178,17 +200,15 @@ impl Rays {
         simd::run(Through { pass: background, marches, part, deformation: None, step, look, left, faint, color });
     }
 
-    /// The way back: `d_color` per ray, `d_masks` per ray; `behind` is the colour behind everything.
-    #[allow(clippy::too_many_arguments, reason = "one call site")]
+    /// The way back of what `upstream` says of each ray.
+    #[allow(clippy::too_many_arguments, reason = "two call sites; a struct of borrows would say no more")]
     pub(crate) fn backward(
         &mut self,
         model: &Brick,
         deformation: &Deformation<'_>,
         transposed: [Option<&Transposed>; 2],
         look: Look,
-        d_color: &[[f32; 3]],
-        d_masks: Option<&[[f32; MASKS]]>,
-        behind: &[[f32; 3]],
+        upstream: Upstream<'_>,
         prior: [Prior; 2],
         lot: Lot,
         grads: [&mut FieldGrad; 2],
@@ -196,16 +216,16 @@ impl Rays {
     ) {
         self.behind.clear();
         self.behind.extend(
-            (0..d_color.len())
-                .map(|r| Behind { suffix: self.left[r] * math::dot(d_color[r], behind[r]), ..Behind::default() }),
+            self.left.iter().zip(upstream.left).map(|(left, d)| Behind { suffix: left * d, ..Behind::default() }),
         );
         let [head_grad, background_grad] = grads;
-        simd::run(Decomposite { rays: self, look, d_color, prior });
+        let half = model.layout.head_box.half;
+        simd::run(Decomposite { rays: self, look, half, upstream, prior });
         let Self { head, background, .. } = self;
         let n = head.samples.len();
         head.samples.d_masks.clear();
         head.samples.d_masks.resize(n, [0.0; MASKS]);
-        if let Some(d_masks) = d_masks {
+        if let Some(d_masks) = upstream.masks {
             for i in 0..n {
                 // The weights are constants here: masks must not bend the shape (stop-gradient on density).
                 let w = head.weight(i);
@@ -226,7 +246,9 @@ impl Rays {
 struct Decomposite<'a> {
     rays: &'a mut Rays,
     look: Look,
-    d_color: &'a [[f32; 3]],
+    /// World units of a box unit.
+    half: f32,
+    upstream: Upstream<'a>,
     prior: [Prior; 2],
 }
 
@@ -235,9 +257,11 @@ impl Task for Decomposite<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self) {
-        let Self { rays: Rays { head, background, behind, .. }, look, d_color, prior } = self;
-        background.decomposite(2.0 / look.planes as f32, d_color, behind, prior[1]);
-        head.decomposite(2.0 / look.divisions as f32, d_color, behind, prior[0]);
+        let Self { rays: Rays { head, background, behind, .. }, look, half, upstream, prior } = self;
+        // Depth is the head's alone.
+        let of_background = Upstream { depth: None, ..upstream };
+        background.decomposite(2.0 / look.planes as f32, 0.0, of_background, behind, prior[1]);
+        head.decomposite(2.0 / look.divisions as f32, half, upstream, behind, prior[0]);
     }
 }
 

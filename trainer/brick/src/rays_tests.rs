@@ -8,6 +8,7 @@ use crate::evaluate::Samples;
 use crate::expression::{BlendGrad, Seen};
 use crate::field::{LAYER, MIDDLE, monomials};
 use crate::lattice::BRICK;
+use crate::math;
 use crate::model::{HeadBox, LATENT, Layout, deformation};
 use crate::reference::{Twin, Which};
 
@@ -78,6 +79,10 @@ fn twin(model: &Brick, motion: [f64; 6]) -> Twin<'_> {
         planes: LOOK.planes,
         opaque: f64::from(LOOK.opaque),
     }
+}
+
+fn d_left(d_color: &[[f32; 3]], behind: &[[f32; 3]]) -> Vec<f32> {
+    d_color.iter().zip(behind).map(|(d, behind)| math::dot(*d, *behind)).collect()
 }
 
 struct Prepared {
@@ -185,9 +190,7 @@ fn gradients_are_those_of_the_twin() {
         &d,
         [Some(&model.head.field.transposed()), Some(&part.field.transposed())],
         LOOK,
-        &d_color,
-        None,
-        &behind,
+        Upstream { color: &d_color, left: &d_left(&d_color, &behind), masks: None, depth: None, regular: None },
         prior,
         Lot::default(),
         [&mut head, &mut background],
@@ -282,9 +285,7 @@ fn the_camera_s_gradient_is_that_of_the_twin() {
         &d,
         [Some(&model.head.field.transposed()), None],
         LOOK,
-        &d_color,
-        None,
-        &behind,
+        Upstream { color: &d_color, left: &d_left(&d_color, &behind), masks: None, depth: None, regular: None },
         [Prior::default(); 2],
         Lot::default(),
         [&mut head, &mut unused],

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::hull::RegionHull;
 use super::layout;
-use super::store::{self, Content, SavedBrick};
+use super::store::{self, SavedBrick};
 use super::views::TrainViews;
 use crate::bounds;
 use crate::data::TrainData;
@@ -221,9 +221,9 @@ fn start(data: &TrainData, settings: &BrickSettings, run: &Path, resume: bool) -
     let bytes = std::fs::read(&file).map_err(|e| risorius_formats::FormatError::io(&file, "read", &e))?;
     let brick: BrickState = serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(&file))?;
     bounds::of_progress(&brick.progress).map_err(|problem| crate::saved::damaged(&file, &problem))?;
-    let read = store::read(&path.join("state.safetensors"), &brick.saved, Content::Checkpoint, &PENDING)?;
-    let mut fitter = Fitter::new(read.model, settings.step.clone(), brick.progress);
-    fitter.set_pending_weights(&read.more);
+    let (model, pending) = store::checkpoint::read(&path, &brick.saved, &PENDING)?;
+    let mut fitter = Fitter::new(model, settings.step.clone(), brick.progress);
+    fitter.set_pending_weights(&pending);
     Ok((fitter, state.seconds))
 }
 
@@ -243,7 +243,7 @@ fn save(
     let saved = SavedBrick::of(model, views.plate(), data.is_uncapped());
     let dir = AtomicDir::create(checkpoint::folder(run, step))?;
     let more = [(PENDING[0], pending[0].as_slice()), (PENDING[1], pending[1].as_slice())];
-    store::write(&dir.path().join("state.safetensors"), model, Content::Checkpoint, None, &more)?;
+    store::checkpoint::write(dir.path(), model, &more)?;
     let brick = BrickState { progress, saved: SavedBrick { plate: None, ..saved.clone() } };
     write_json(dir.path().join("brick.json"), &brick)?;
     let state = CheckpointState { version: 1, step, seconds, dataset_sha256: data.sha256.clone() };
@@ -252,7 +252,7 @@ fn save(
     checkpoint::prune(run)?;
     // A fit that goes on decides anew what it looks into; an avatar that stays is mended.
     let before = last.then(|| heal(model, &expressions(model)));
-    let written = store::write(&run.join("model.safetensors"), model, Content::Avatar, views.plate(), &[]);
+    let written = store::avatar::write(&run.join("model.safetensors"), model, views.plate());
     if let Some(before) = before {
         unheal(model, before);
     }

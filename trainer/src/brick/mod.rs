@@ -5,4 +5,5 @@ pub mod hull;
 pub mod layout;
 pub mod plate;
 pub mod store;
+pub mod tensors;
 pub mod views;

@@ -177,7 +177,6 @@ impl Task for LearnBrick<'_> {
 }
 
 /// The way back as it reads: the twin of [`Expression::learn`], without the update.
-#[cfg(test)]
 pub(crate) fn backward(
     expression: &Expression,
     gates: &[f32],

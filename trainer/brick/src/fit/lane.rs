@@ -10,7 +10,7 @@ use crate::lattice::BRICK;
 use crate::model::{Brick, deformation};
 use crate::occupancy::PART_COUNT;
 use crate::pages::PageGrad;
-use crate::rays::{Look, Prior, Rays};
+use crate::rays::{Look, Prior, Rays, Upstream};
 use crate::table::TableGrad;
 
 /// Rays that travel together: their samples' activations stay in the cache.
@@ -163,14 +163,14 @@ impl Lane {
             self.rays.forward(model, &deformation, motion, origin, &directions, || rng.random::<f32>(), work.look);
             let (d_color, d_masks) =
                 losses(&self.rays, &self.pixels, &behind, s.mask_weight, model.layout.regions, &mut self.numbers);
+            let d_left: Vec<f32> =
+                d_color.iter().zip(&behind).map(|(d, behind)| crate::math::dot(*d, *behind)).collect();
             self.rays.backward(
                 model,
                 &deformation,
                 [work.transposed[0].as_ref(), work.transposed[1].as_ref()],
                 work.look,
-                &d_color,
-                d_masks.as_deref(),
-                &behind,
+                Upstream { color: &d_color, left: &d_left, masks: d_masks.as_deref(), depth: None, regular: None },
                 work.prior,
                 Lot { below: if s.skips.faint { s.faint } else { 0.0 }, ticket: rng.random() },
                 [&mut self.head, &mut self.background],
@@ -208,9 +208,7 @@ impl Lane {
             }
             let out = &mut self.masks.values[slot * BRICK * MASKS..(slot + 1) * BRICK * MASKS];
             for ((out, d), &logit) in out.iter_mut().zip(d.iter_mut()).zip(values) {
-                // The soft mask's slope also where the hard one is 0: a mask may come back.
-                let m = crate::math::sigmoid(logit);
-                *out += *d * (m * (1.0 - m)).max(1e-3);
+                *out += *d * crate::expression::gate_slope(logit);
                 *d = 0.0;
             }
             self.masks.touched[slot] = true;

@@ -1,6 +1,7 @@
 //! The samples of one part of the scene along a chunk's rays: what they weigh, show, and pass back.
 #![allow(unsafe_code, reason = "vectors of sixteen samples")]
 
+use super::Upstream;
 use crate::cull::SEEN;
 use crate::evaluate::Samples;
 use crate::field::{Field, monomials};
@@ -148,9 +149,17 @@ impl Pass {
         }
     }
 
-    /// Turns gradients of the rays' colours into those of the samples; `rays` begin with what lies behind everything.
+    /// Turns gradients of the rays into those of the samples; `rays` begin with what lies behind everything. `half` is the
+    /// length of a unit along the ray, for the depth.
     #[inline(always)]
-    pub(super) fn decomposite(&mut self, step: f32, d_color: &[[f32; 3]], rays: &mut [Behind], prior: Prior) {
+    pub(super) fn decomposite(
+        &mut self,
+        step: f32,
+        half: f32,
+        upstream: Upstream<'_>,
+        rays: &mut [Behind],
+        prior: Prior,
+    ) {
         let n = self.samples.len();
         self.samples.d_density.resize(n, 0.0);
         self.samples.d_color.resize(n, [0.0; 3]);
@@ -171,19 +180,41 @@ impl Pass {
                 continue;
             }
             let ray = self.samples.ray[i] as usize;
-            let (d, color, before) = (d_color[ray], self.color[i], self.before[i]);
+            let (d, color, before) = (upstream.color[ray], self.color[i], self.before[i]);
+            let scale = upstream.regular.map_or(1.0, |d| d[ray]);
+            let depth = upstream.depth.map(|d| d[ray]);
             let ray = &mut rays[ray];
             let (w, t) = (before * alpha, self.along[i]);
             let front = [ray.total[0] - ray.passed[0] - w, ray.total[1] - ray.passed[1] - w * t];
             let apart = t * front[0] - front[1] + ray.passed[1] - t * ray.passed[0];
-            let g = math::dot(d, color) + prior.spread * (2.0 * apart + 2.0 / 3.0 * w * step);
+            let mut g = math::dot(d, color) + scale * prior.spread * (2.0 * apart + 2.0 / 3.0 * w * step);
+            if let Some([along, weight]) = depth {
+                g += along * t * half + weight;
+            }
             let sigma = math::density(self.samples.density(i));
             let d_sigma = step * (before * (1.0 - alpha) * g - ray.suffix);
-            let thin = prior.haze * 4.0 * sigma / (1.0 + 2.0 * sigma * sigma);
+            let thin = scale * prior.haze * 4.0 * sigma / (1.0 + 2.0 * sigma * sigma);
             self.samples.d_density[i] = (d_sigma + thin) * sigma;
             self.samples.d_color[i] = std::array::from_fn(|c| w * d[c] * color[c] * (1.0 - color[c]));
             ray.suffix += w * g;
             ray.passed = [ray.passed[0] + w, ray.passed[1] + w * t];
+        }
+    }
+
+    /// Adds what `prior` holds against each ray's samples.
+    pub(super) fn add_regular(&self, step: f32, prior: Prior, out: &mut [f32]) {
+        // Σ weight, Σ weight · distance in front of the current sample.
+        let mut front = vec![[0.0f32; 2]; out.len()];
+        for i in 0..self.samples.len() {
+            if self.alpha[i] < 0.0 {
+                continue;
+            }
+            let ray = self.samples.ray[i] as usize;
+            let (w, t, sigma) = (self.weight(i), self.along[i], math::density(self.samples.density(i)));
+            let [weight, far] = front[ray];
+            let spread = 2.0 * w * (t * weight - far) + w * w * step / 3.0;
+            out[ray] += prior.haze * (2.0 * sigma * sigma).ln_1p() + prior.spread * spread;
+            front[ray] = [weight + w, far + w * t];
         }
     }
 
