@@ -123,6 +123,11 @@ impl Avatar {
         }
     }
 
+    /// The brick field, if it is one.
+    pub fn brick_model(&self) -> Option<&Brick> {
+        self.brick().map(|(model, _)| model)
+    }
+
     pub(crate) fn brick(&self) -> Option<(&Brick, Option<&Plate>)> {
         match &self.field {
             Fitted::Brick { model, plate } => Some((model, plate.as_ref())),

@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::{DVec2, DVec3};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _, RgbImage};
 use risorius_formats::pose_report::{json_error, write_json};
@@ -84,7 +85,7 @@ pub struct RenderSummary {
 /// The shots of a view list; AUs that the avatar does not know are warned about once.
 pub fn shots_of_views(avatar: &Avatar, views: &ViewList, reporter: &dyn Reporter) -> Vec<Shot> {
     let mut unknown = std::collections::BTreeSet::new();
-    let shots = views
+    let shots: Vec<Shot> = views
         .views
         .iter()
         .map(|view| {
@@ -94,7 +95,25 @@ pub fn shots_of_views(avatar: &Avatar, views: &ViewList, reporter: &dyn Reporter
         })
         .collect();
     warn_unknown(&unknown, reporter);
+    let past = shots.iter().filter(|shot| !shows(&shot.camera, avatar.saved.center_in_world)).count();
+    if 2 * past > shots.len() {
+        let message = format!(
+            "{past} of {} views look past the avatar's head: are their cameras of the world that it was fitted in? COLMAP gives \
+             every capture a world of its own; `tracker poses --colmap-model` takes cameras that are known",
+            shots.len()
+        );
+        reporter.warn(Warning::new("other-world", message));
+    }
     shots
+}
+
+/// Whether a point lies in the picture.
+fn shows(camera: &Camera, point_in_world: DVec3) -> bool {
+    let at = camera.project(point_in_world);
+    let size = DVec2::new(f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));
+    camera.camera_from_world.transform_point(point_in_world).z > 0.0
+        && at.cmpge(DVec2::ZERO).all()
+        && at.cmple(size).all()
 }
 
 /// Tells which AUs have no effect.

@@ -1,13 +1,13 @@
 //! Fits as a user runs them, judged on views with true pictures.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use risorius_brick::floor::Floor;
 use risorius_console::Failure;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::Cli;
 use crate::child;
 
 /// One fit and how good it is.
@@ -28,19 +28,20 @@ pub(super) struct Fit {
 
 /// Fits for a time or a number of steps and evaluates.
 pub(super) fn measure(
-    cli: &Cli,
-    dataset: &std::path::Path,
+    work: &Path,
+    views: &Path,
+    dataset: &Path,
     name: &str,
     length: [&str; 2],
     no_skip: Option<&str>,
     floor: &Floor,
 ) -> Result<Fit, Failure> {
-    let text = |path: &std::path::Path| path.to_string_lossy().into_owned();
-    let (dataset, out, views) = (text(dataset), text(&cli.work.join(name)), text(&cli.views));
+    let text = |path: &Path| path.to_string_lossy().into_owned();
+    let (dataset, out, views) = (text(dataset), text(&work.join(name)), text(views));
     let mut args = vec!["fit", &dataset, "--out", &out, "--field", "brick", "--force", length[0], length[1]];
     args.extend(no_skip.iter().flat_map(|skip| ["--no-skip", skip]));
-    let fit = child::run("trainer", &args, &cli.work)?;
-    let eval = child::run("trainer", &["eval", &out, "--views", &views], &cli.work)?;
+    let fit = child::run("trainer", &args, work)?;
+    let eval = child::run("trainer", &["eval", &out, "--views", &views], work)?;
     let number = |v: &Value, key: &str| v.get(key).and_then(Value::as_f64).unwrap_or(f64::NAN);
     let psnr_db = psnr_of(&eval.document);
     let samples_per_sec = number(&fit.document, "samples_per_sec");

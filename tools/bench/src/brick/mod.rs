@@ -1,5 +1,6 @@
 //! `bench-brick`: run time against error of the brick field on one dataset with true pictures.
 
+mod burn;
 pub(crate) mod fits;
 mod pictures;
 mod plot;
@@ -30,12 +31,15 @@ pub struct Cli {
     /// Only times pictures of this run; nothing is fitted
     #[arg(long, value_name = "RUN", conflicts_with_all = ["dataset", "budgets", "skip_steps"])]
     run: Option<PathBuf>,
+    /// Times a step of the run's avatar through Burn instead: the operation, its gradient, Burn's Adam on whole tensors
+    #[arg(long, requires = "run", conflicts_with_all = ["views", "work"])]
+    burn: bool,
     /// Views with true pictures
-    #[arg(long, value_name = "VIEWS.json")]
-    views: PathBuf,
+    #[arg(long, value_name = "VIEWS.json", required_unless_present = "burn")]
+    views: Option<PathBuf>,
     /// Where runs, brick.csv and brick.svg go
-    #[arg(long, value_name = "DIR")]
-    work: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "burn")]
+    work: Option<PathBuf>,
     /// Times of the fits; the last one's avatar is rendered
     #[arg(long, value_name = "TIMES", value_delimiter = ',', default_value = "30s,1m,2m")]
     budgets: Vec<String>,
@@ -65,24 +69,32 @@ struct Report {
 
 /// Measures and writes everything.
 pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
-    std::fs::create_dir_all(&cli.work).map_err(|e| FormatError::io(&cli.work, "create", &e))?;
+    if let (true, Some(run)) = (cli.burn, &cli.run) {
+        let step = burn::measure(run)?;
+        console.finish(&step, &step.table());
+        return Ok(());
+    }
+    let (Some(work), Some(views)) = (&cli.work, &cli.views) else {
+        return Err(Failure::usage("name `--work` and `--views`"));
+    };
+    std::fs::create_dir_all(work).map_err(|e| FormatError::io(work, "create", &e))?;
     let floor = Floor::measure();
     let Some(dataset) = &cli.dataset else {
         let Some(run) = &cli.run else { return Err(Failure::usage("name a `--dataset` or a `--run`")) };
-        let pictures = pictures::measure(run, &cli.views, cli.every)?;
+        let pictures = pictures::measure(run, views, cli.every)?;
         console.finish(&pictures, &pictures.table());
         return Ok(());
     };
     let measured = |name: &str, length: [&str; 2], skip: Option<&str>| {
         console.say(&format!("fit {name}: {} {}", length[0], length[1]));
-        fits::measure(cli, dataset, name, length, skip, &floor)
+        fits::measure(work, views, dataset, name, length, skip, &floor)
     };
     let mut fits = Vec::new();
     for budget in &cli.budgets {
         fits.push(measured(&format!("fit-{budget}"), ["--budget", budget], None)?);
     }
     let Some(last) = cli.budgets.last() else { return Err(Failure::usage("`--budgets` names no time")) };
-    let pictures = pictures::measure(&cli.work.join(format!("fit-{last}")), &cli.views, cli.every)?;
+    let pictures = pictures::measure(&work.join(format!("fit-{last}")), views, cli.every)?;
     let mut skipped_fits = Vec::new();
     if cli.skip_steps > 0 {
         let steps = cli.skip_steps.to_string();
@@ -94,9 +106,9 @@ pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     }
     let report = Report { floor_fit_samples_per_sec: floor.fit_samples_per_sec(), floor, fits, pictures, skipped_fits };
     let rows: Vec<&fits::Fit> = report.fits.iter().chain(&report.skipped_fits).collect();
-    atomic::write_file(cli.work.join("brick.csv"), fits::csv(&rows).as_bytes())?;
+    atomic::write_file(work.join("brick.csv"), fits::csv(&rows).as_bytes())?;
     let svg = plot::svg(&report.fits).map_err(Failure::input)?;
-    atomic::write_file(cli.work.join("brick.svg"), svg.as_bytes())?;
+    atomic::write_file(work.join("brick.svg"), svg.as_bytes())?;
     console.finish(&report, &words(&report));
     Ok(())
 }

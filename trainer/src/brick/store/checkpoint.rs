@@ -126,12 +126,18 @@ fn write_files(dir: &Path, all: &[Array<'_>], loans: &[Loan], more: &[(&str, &[f
         let path = dir.join(file);
         atomic::write_file_by(&path, |staged| {
             Writer::new(tensors).auto_extension(false).write_to_file_in_place(staged).map_err(|e| match e {
-                burn_pack::Error::IoError(e) => FormatError::io(&path, "write", &std::io::Error::other(e)).into(),
+                burn_pack::Error::IoError(said) => FormatError::io(&path, "write", &io_error(said)).into(),
                 other => damaged(&path, &other),
             })
         })?;
     }
     Ok(())
+}
+
+/// The system's error behind what the records' writer says, which is a sentence: what to do about a full disk hangs on it.
+fn io_error(said: String) -> std::io::Error {
+    let number = said.rsplit_once("(os error ").and_then(|(_, rest)| rest.split_once(')')?.0.parse().ok());
+    number.map_or_else(|| std::io::Error::other(said), std::io::Error::from_raw_os_error)
 }
 
 /// Reads what [`write()`] wrote, and the floats named `more`.
@@ -147,7 +153,10 @@ pub fn read(dir: &Path, saved: &SavedBrick, more: &[&str]) -> Result<(Brick, Vec
     let mut others = Vec::new();
     for (file, roles) in FILES {
         let path = dir.join(file);
-        let tensors = Reader::from_file_exact(&path).and_then(Reader::into_tensors).map_err(|e| damaged(&path, &e))?;
+        // Whole, here: what a reader fetches later it can only panic about.
+        let bytes = std::fs::read(&path).map_err(|e| FormatError::io(&path, "read", &e))?;
+        let reader = Reader::from_bytes(Bytes::from_bytes_vec(bytes));
+        let tensors = reader.and_then(Reader::into_tensors).map_err(|e| damaged(&path, &e))?;
         let mut tensors: BTreeMap<String, burn_pack::Tensor> =
             tensors.into_iter().map(|t| (t.name.clone(), t)).collect();
         let mut take = |name: &str, expected: DType| {

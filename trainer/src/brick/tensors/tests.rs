@@ -200,3 +200,38 @@ fn a_checkpoint_is_a_record() {
     assert!(refused.contains("head.net") && refused.contains("NaN"), "{refused}");
     checkpoint::read(dir.path(), &saved, &["pending"]).unwrap();
 }
+
+/// What a bad disk makes of a checkpoint is refused, or reads as numbers; nothing panics.
+#[test]
+fn a_damaged_checkpoint_is_refused() {
+    use crate::brick::store::{SavedBrick, checkpoint};
+
+    let dir = tempfile::tempdir().unwrap();
+    let mut model = lively(false);
+    checkpoint::write(dir.path(), &mut model, &[("pending", &[1.0])]).unwrap();
+    let saved = SavedBrick::of(&model, None, false);
+    let read = || checkpoint::read(dir.path(), &saved, &["pending"]);
+    let mut rng = ChaCha8Rng::seed_from_u64(12);
+    for file in ["weights.bpk", "optimizer.bpk", "space.bpk"] {
+        let path = dir.path().join(file);
+        let sound = std::fs::read(&path).unwrap();
+        let mut refused = 0;
+        for round in 0..40 {
+            let mut bytes = sound.clone();
+            match round % 4 {
+                0 => bytes.truncate(rng.random_range(0..bytes.len())),
+                1 => bytes[rng.random_range(0..12)] ^= 1 << rng.random_range(0..8),
+                // The names and sizes stand in the first kilobytes.
+                _ => (0..=round / 10).for_each(|_| bytes[rng.random_range(10..1500)] = rng.random()),
+            }
+            std::fs::write(&path, &bytes).unwrap();
+            refused += usize::from(read().is_err());
+        }
+        assert!(refused >= 30, "{file}: {refused} of 40 are refused");
+        std::fs::remove_file(&path).unwrap();
+        let missing = read().err().unwrap().to_string();
+        assert!(missing.contains(file), "{missing}");
+        std::fs::write(&path, &sound).unwrap();
+    }
+    read().unwrap();
+}
