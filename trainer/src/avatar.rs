@@ -141,23 +141,25 @@ impl Avatar {
         let (width, height) = (camera.intrinsics.width as usize, camera.intrinsics.height as usize);
         let outline = self.saved.head_hull_in_world.as_ref().map(|hull| Outline::of(hull, camera));
         let columns = width.div_ceil(TILE);
-        let in_tile = |tile: usize| {
+        let mut pixels = Vec::with_capacity(width * height);
+        for tile in 0..columns * height.div_ceil(TILE) {
             let (left, top) = (tile % columns * TILE, tile / columns * TILE);
-            let mut wanted = Vec::with_capacity(TILE * TILE);
             for y in top..(top + TILE).min(height) {
-                for x in left..(left + TILE).min(width) {
-                    let p = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-                    if outline.as_ref().is_some_and(|o| !o.contains(p)) {
-                        continue;
-                    }
-                    if let Some(direction) = camera.ray_direction(p) {
-                        wanted.push((y * width + x, direction.as_vec3()));
-                    }
-                }
+                pixels.extend((left..(left + TILE).min(width)).map(|x| y * width + x));
             }
-            wanted
-        };
-        (0..columns * height.div_ceil(TILE)).into_par_iter().flat_map_iter(in_tile).collect()
+        }
+        // A vector of known length, which threads fill side by side.
+        let rays: Vec<Option<Wanted>> = pixels
+            .into_par_iter()
+            .map(|pixel| {
+                let p = DVec2::new((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
+                if outline.as_ref().is_some_and(|o| !o.contains(p)) {
+                    return None;
+                }
+                camera.ray_direction(p).map(|direction| (pixel, direction.as_vec3()))
+            })
+            .collect();
+        rays.into_iter().flatten().collect()
     }
 
     /// Renders `camera` with the attributes (−1..1, K of them), every pixel.

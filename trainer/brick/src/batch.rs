@@ -88,6 +88,7 @@ impl<'a> Ready<'a> {
             opaque: batch.opaque,
             batch: BATCH,
             faint: None,
+            tells_acts: false,
             everywhere: false,
         };
         let prior = [0, 1].map(|part| Prior { haze: batch.haze[part], spread: batch.spread[part] });

@@ -52,6 +52,10 @@ pub struct Samples {
     warped: Vec<[f32; 3]>,
     /// Whether a region's brick holds the sample.
     in_region: Vec<bool>,
+    /// A bit for each region whose AUs can change the sample, where [`Self::tells_acts`].
+    acts: Vec<u8>,
+    /// Whether [`Self::acts`] is wanted: a fit asks for none.
+    pub(crate) tells_acts: bool,
     x1: Vec<f32>,
     h1: Vec<f32>,
     middle: Vec<f32>,
@@ -114,6 +118,12 @@ impl Samples {
     #[inline(always)]
     pub(crate) fn in_region(&self, i: usize) -> bool {
         self.in_region[i]
+    }
+
+    /// A bit for each region whose AUs can change sample `i`: those that act at one of its corners.
+    #[inline(always)]
+    pub(crate) fn acts(&self, i: usize) -> u8 {
+        self.acts[i]
     }
 
     /// Raw colour of sample `i`.

@@ -157,6 +157,24 @@ pub(crate) unsafe fn gather<S: Simd>(
     }
 }
 
+/// The largest of the corners' values, channel by channel: 4 channels of rows of 4 numbers.
+///
+/// # Safety
+/// As [`gather`].
+#[allow(unsafe_code, reason = "innermost loop; the caller's corners come from the lattice the table was made for")]
+#[inline(always)]
+pub(crate) unsafe fn largest<S: Simd>(values: &[f32], corners: &Corners) -> S::Q {
+    // SAFETY: the caller promises that every corner has its row.
+    unsafe {
+        let mut most = S::q_splat(0.0);
+        for &i in &corners.index {
+            debug_assert!(i as usize * 4 + 4 <= values.len(), "corner outside its table");
+            most = S::q_max(S::q_load(values.as_ptr().add(i as usize * 4)), most);
+        }
+        most
+    }
+}
+
 /// Fetches the corners' rows into the cache, ahead of [`gather`] or [`scatter`]: sixteen points' misses at once instead of
 /// one after the other.
 #[allow(unsafe_code, reason = "innermost loop; fetching ahead is harmless wherever the pointer leads")]

@@ -32,7 +32,7 @@ pub(crate) struct Rays {
     pub(crate) masks: Vec<[f32; MASKS]>,
     /// Σ weight · distance along the ray, and Σ weight, of the head.
     pub(crate) depth: Vec<[f32; 2]>,
-    /// A bit for each region that has a mask at some sample of the ray.
+    /// A bit for each region whose AUs can change some sample of the ray; told for pictures only.
     pub(crate) touched: Vec<u8>,
     marches: Vec<March>,
     /// Weight of each ray's samples that stayed without colour.
@@ -70,6 +70,8 @@ pub(crate) struct Look {
     /// How much of a ray may stay without its colour, where that is not worked out for faint samples; `None` colours all, as
     /// the way back needs.
     pub(crate) faint: Option<f32>,
+    /// Whether rays are to know which regions' AUs can change them.
+    pub(crate) tells_acts: bool,
     /// Whether samples are also taken where nothing is, for measuring what their absence saves. They show nothing.
     pub(crate) everywhere: bool,
 }
@@ -121,6 +123,7 @@ impl Rays {
         self.faint.clear();
         self.faint.resize(n, 0.0);
         self.head.begin(directions);
+        self.head.samples.tells_acts = look.tells_acts;
         self.background.begin(directions);
         self.send_through_head(model, deformation, motion, origin, directions, &mut jitter, look);
         self.head_color.clone_from(&self.color);
@@ -169,10 +172,10 @@ impl Rays {
             let (ray, w) = (head.samples.ray[i] as usize, head.weight(i));
             depth[ray] = [depth[ray][0] + w * head.along[i] * half, depth[ray][1] + w];
             if head.samples.in_region(i) {
-                for (n, (sum, m)) in masks[ray].iter_mut().zip(head.samples.masks[i]).enumerate() {
+                for (sum, m) in masks[ray].iter_mut().zip(head.samples.masks[i]) {
                     *sum += w * m;
-                    touched[ray] |= u8::from(m > 0.0) << n;
                 }
+                touched[ray] |= head.samples.acts(i);
             }
         }
     }

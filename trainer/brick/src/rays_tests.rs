@@ -56,7 +56,8 @@ fn lively(background: bool) -> Brick {
 }
 
 const ACTIVATIONS: [f32; 2 + LATENT] = [0.7, 0.4, 0.3, -0.2, 0.1, 0.2, -0.3, 0.15, 0.05, -0.1];
-const LOOK: Look = Look { divisions: 24, planes: 20, opaque: 1e-4, batch: 64, faint: None, everywhere: false };
+const LOOK: Look =
+    Look { divisions: 24, planes: 20, opaque: 1e-4, batch: 64, faint: None, tells_acts: true, everywhere: false };
 
 fn directions(count: usize) -> Vec<[f32; 3]> {
     let mut rng = ChaCha8Rng::seed_from_u64(11);

@@ -185,6 +185,7 @@ impl<'a> Face<'a> {
             opaque: if self.skips.hidden { OPAQUE } else { 0.0 },
             batch: BATCH,
             faint: self.skips.faint.then_some(FAINT),
+            tells_acts: true,
             everywhere: !self.skips.empty_space,
         };
         rays.forward(model, &deformation, None, origin, directions, || 0.5, look);

@@ -131,6 +131,8 @@ pub trait Simd: Copy + 'static {
     unsafe fn q_div(a: Self::Q, b: Self::Q) -> Self::Q;
     /// √a
     unsafe fn q_sqrt(a: Self::Q) -> Self::Q;
+    /// The larger of both; `b` where `a` is no number.
+    unsafe fn q_max(a: Self::Q, b: Self::Q) -> Self::Q;
     /// Σ a · b
     unsafe fn q_dot(a: Self::Q, b: Self::Q) -> f32;
 }

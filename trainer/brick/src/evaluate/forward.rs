@@ -2,7 +2,7 @@
 #![allow(unsafe_code, reason = "gathers: corners come from the lattices their tables were made for")]
 
 use super::{Deformation, Samples, room, split};
-use crate::expression::{CHANNELS, MASKS};
+use crate::expression::{CHANNELS, MASKS, reach};
 use crate::field::{COLOR_INPUT, EXPRESSION_AT, FEATURES, Field, HIDDEN, INPUT, LAYER, LEVELS, MIDDLE, ONE_AT, OUTPUT};
 use crate::lattice;
 use crate::matmul;
@@ -31,6 +31,7 @@ impl Task for Forward<'_> {
         }
         b.warped.resize(n, [0.0; 3]);
         b.in_region.resize(n, false);
+        b.acts.resize(n, 0);
         b.masks.resize(n, [0.0; MASKS]);
         let (mut corners, mut levels) = (Sixteen::default(), [Sixteen::default(); LEVELS]);
         for first in (from..n).step_by(POINTS) {
@@ -41,6 +42,7 @@ impl Task for Forward<'_> {
                 x[EXPRESSION_AT..].fill(0.0);
                 x[ONE_AT] = 1.0;
                 b.in_region[s] = false;
+                b.acts[s] = 0;
                 b.masks[s] = [0.0; MASKS];
             }
             if let Some(d) = deformation {
@@ -160,6 +162,16 @@ fn deform<S: Simd>(
             S::q_store(x.as_mut_ptr().add(EXPRESSION_AT), features);
             S::q_store(shift.as_mut_ptr(), lattice::gather::<S>(d.blend, CHANNELS, 4, &c, &w));
             S::q_store(b.masks[first + s].as_mut_ptr(), lattice::gather::<S>(d.gates, MASKS, 0, &c, &w));
+        }
+        if b.tells_acts {
+            let mut most = [0.0f32; MASKS];
+            // SAFETY: as above.
+            unsafe { S::q_store(most.as_mut_ptr(), lattice::largest::<S>(d.gates, &c)) };
+            let mut bits = 0;
+            for (n, &most) in most.iter().enumerate() {
+                bits |= u8::from(reach(most) > 0.0) << n;
+            }
+            b.acts[first + s] = bits;
         }
         x[EXPRESSION_AT + 4] = shift[3];
         for a in 0..3 {

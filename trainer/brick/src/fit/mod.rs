@@ -200,6 +200,7 @@ impl Fitter {
             opaque: if self.settings.skips.hidden { OPAQUE } else { 0.0 },
             batch: BATCH,
             faint: None,
+            tells_acts: false,
             everywhere: false,
         }
     }

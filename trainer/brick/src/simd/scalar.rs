@@ -188,6 +188,10 @@ impl Simd for Scalar {
         a.map(f32::sqrt)
     }
     #[inline(always)]
+    unsafe fn q_max(a: [f32; 4], b: [f32; 4]) -> [f32; 4] {
+        std::array::from_fn(|i| if a[i] > b[i] { a[i] } else { b[i] })
+    }
+    #[inline(always)]
     unsafe fn q_dot(a: [f32; 4], b: [f32; 4]) -> f32 {
         (a[0] * b[0] + a[2] * b[2]) + (a[1] * b[1] + a[3] * b[3])
     }

@@ -49,6 +49,10 @@ macro_rules! quads {
             unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
         }
         #[inline(always)]
+        unsafe fn q_max(a: __m128, b: __m128) -> __m128 {
+            unsafe { _mm_max_ps(a, b) }
+        }
+        #[inline(always)]
         unsafe fn q_dot(a: __m128, b: __m128) -> f32 {
             unsafe {
                 let p = _mm_mul_ps(a, b);
