@@ -217,6 +217,13 @@ fn start(data: &TrainData, settings: &BrickSettings, run: &Path, resume: bool) -
         return Ok((Fitter::new(model, settings.step.clone(), Progress::default()), 0.0));
     }
     let (path, state) = checkpoint::newest(run, &data.sha256)?;
+    if path.join("state.safetensors").exists() {
+        return Err(TrainerError::Run {
+            path,
+            message: "is a checkpoint of an earlier version".to_owned(),
+            hint: "fit anew without `--resume`; the run's avatar can be used as it is".to_owned(),
+        });
+    }
     let file = path.join("brick.json");
     let bytes = std::fs::read(&file).map_err(|e| risorius_formats::FormatError::io(&file, "read", &e))?;
     let brick: BrickState = serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(&file))?;
