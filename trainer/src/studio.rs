@@ -3,7 +3,7 @@
 use glam::DVec2;
 use image::RgbImage;
 use risorius_brick::Skips;
-use risorius_brick::render::{BakedFace, BakedPicture, Face, FacePicture};
+use risorius_brick::render::{BakedFace, BakedPicture, Face, FacePicture, Shown};
 use risorius_formats::{Camera, Reporter};
 
 use crate::avatar::{Avatar, Render, Wanted};
@@ -45,6 +45,16 @@ struct Last<'a> {
 enum Picture<'a> {
     Direct { face: Face<'a>, picture: FacePicture },
     Baked(BakedPicture),
+}
+
+impl Picture<'_> {
+    /// What each ray shows.
+    fn shown(&self) -> &[Shown] {
+        match self {
+            Self::Direct { picture, .. } => &picture.shown,
+            Self::Baked(picture) => &picture.shown,
+        }
+    }
 }
 
 impl<'a> Studio<'a> {
@@ -152,10 +162,7 @@ impl<'a> Studio<'a> {
         let Some(last) = &mut self.last else { return };
         let Last { camera, wanted, picture, render, .. } = last;
         let (width, origin) = (camera.intrinsics.width as usize, camera.center().as_vec3().to_array());
-        let shown = match picture {
-            Picture::Direct { picture, .. } => &*picture.shown,
-            Picture::Baked(baked) => &baked.shown,
-        };
+        let shown = picture.shown();
         render.head.clear();
         render.head.resize(render.depth.len(), [0.0; 4]);
         for ((pixel, _), shown) in wanted.iter().zip(shown) {
@@ -187,10 +194,7 @@ impl Last<'_> {
     /// Puts what these rays show into the picture.
     fn paint(&mut self, rays: impl IntoIterator<Item = usize>) {
         let Self { wanted, picture, backdrop, render, .. } = self;
-        let shown = match picture {
-            Picture::Direct { picture, .. } => &*picture.shown,
-            Picture::Baked(baked) => &baked.shown,
-        };
+        let shown = picture.shown();
         for ray in rays {
             let (pixel, shown) = (wanted[ray].0, &shown[ray]);
             let behind = &backdrop.as_raw()[pixel * 3..pixel * 3 + 3];

@@ -135,8 +135,8 @@ pub fn forward(model: &Brick, activations: &[f32], motion: &[f32; 6], batch: &Ra
 /// Gradients that one share of the rays gathered.
 #[derive(Default)]
 struct Share {
-    head: FieldGrad,
-    background: FieldGrad,
+    /// Of head and background.
+    fields: [FieldGrad; 2],
     blend: BlendGrad,
     gates: Vec<f32>,
     latent: Vec<f32>,
@@ -167,12 +167,12 @@ impl Ready<'_> {
     fn backward(&self, from: usize, to: usize, upstream: &[RayValues]) -> Share {
         let Self { model, batch, .. } = self;
         let deformation = deformation(model, &self.blend, &self.gates, Some(&self.latent));
-        let transposed = [Some(&model.head), model.background.as_ref()].map(|p| p.map(|p| p.field.transposed()));
         let mut share = Share::default();
-        share.head.fit(&model.head.field);
-        if let Some(part) = &model.background {
-            share.background.fit(&part.field);
+        let parts = [Some(&model.head), model.background.as_ref()];
+        for (grad, part) in share.fields.iter_mut().zip(parts).filter_map(|(grad, part)| Some((grad, part?))) {
+            grad.fit(&part.field);
         }
+        let transposed = parts.map(|part| part.map(|part| part.field.transposed()));
         share.blend.fit(model.expression.lattice.slots);
         share.gates = vec![0.0; self.gates.len()];
         share.latent = vec![0.0; self.latent.len()];
@@ -200,7 +200,7 @@ impl Ready<'_> {
                 },
                 self.prior,
                 Lot::default(),
-                [&mut share.head, &mut share.background],
+                share.fields.each_mut(),
                 &mut DeformationGrad {
                     blend: &mut share.blend,
                     gates: &mut share.gates,
@@ -220,10 +220,10 @@ fn merged(model: &Brick, activations: &[f32], ready: &Ready<'_>, shares: &[Share
     let mut out = BatchGrad { activations: vec![0.0; activations.len()], ..BatchGrad::default() };
     for (p, part) in [Some(&model.head), model.background.as_ref()].into_iter().enumerate() {
         let Some(part) = part else { continue };
-        let grads: Vec<&FieldGrad> = shares.iter().map(|s| if p == 0 { &s.head } else { &s.background }).collect();
+        let grads = || shares.iter().map(|share| &share.fields[p]);
         for (l, table) in part.field.features.iter().enumerate() {
             let mut sum = vec![0.0; table.values.len()];
-            for grad in &grads {
+            for grad in grads() {
                 grad.features[l].add_to(&mut sum);
             }
             // A sparse level's first brick is what is not there.
@@ -233,7 +233,7 @@ fn merged(model: &Brick, activations: &[f32], ready: &Ready<'_>, shares: &[Share
             out.tables.push(sum);
         }
         let mut net = vec![0.0; part.field.net.values.len()];
-        for grad in &grads {
+        for grad in grads() {
             add(&mut net, &grad.net.values);
         }
         out.tables.push(net);

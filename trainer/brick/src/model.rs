@@ -206,14 +206,8 @@ impl Brick {
 
     /// Numbers that are learned.
     pub fn parameters(&self) -> usize {
-        let field =
-            |p: &Part| p.field.features.iter().map(|t| t.values.len()).sum::<usize>() + p.field.net.values.len();
-        field(&self.head)
-            + self.background.as_ref().map_or(0, field)
-            + self.expression.residuals.iter().map(|t| t.values.len()).sum::<usize>()
-            + self.expression.masks.values.len()
-            + self.latent_bases.iter().map(|t| t.values.len()).sum::<usize>()
-            + [&self.codes, &self.alphas, &self.log_betas, &self.motions].iter().map(|t| t.values.len()).sum::<usize>()
+        let of_images = [&self.codes, &self.alphas, &self.log_betas, &self.motions];
+        self.shown_by().into_iter().chain(of_images).map(|table| table.values.len()).sum()
     }
 
     /// The code ω of an image.

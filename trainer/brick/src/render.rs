@@ -102,9 +102,9 @@ impl<'a> Face<'a> {
         if changed != 0 {
             let stale = self.model.expression.slots_in(changed);
             self.blend_again(|slot| stale[slot]);
-            for (_, without) in (0u8..).zip(self.without.iter_mut()).filter(|(set, _)| changed & !set != 0) {
-                without.take();
-            }
+            outdated(&mut *self.without, changed).for_each(|blend| {
+                blend.take();
+            });
         }
         changed
     }
@@ -144,9 +144,7 @@ impl<'a> Face<'a> {
     pub fn redraw(&self, picture: &mut FacePicture, changed: u8) -> Vec<usize> {
         let stale = |shown: &Shown| shown.touched & changed != 0 || !self.skips.unchanged;
         let stale: Vec<usize> = (0..picture.shown.len()).filter(|&i| stale(&picture.shown[i])).collect();
-        for (_, without) in (0u8..).zip(picture.without.iter_mut()).filter(|(set, _)| changed & !set != 0) {
-            without.clear();
-        }
+        outdated(&mut *picture.without, changed).for_each(BTreeMap::clear);
         let wanted: Vec<[f32; 3]> = stale.iter().map(|&i| picture.directions[i]).collect();
         let mut shown = vec![Shown::default(); wanted.len()];
         self.render_with(&self.blend, picture.origin, &wanted, &mut shown);
@@ -202,6 +200,11 @@ impl<'a> Face<'a> {
             show(r, shown);
         }
     }
+}
+
+/// Of what is kept without the AUs of each set of regions: what AUs of the regions in `changed` have a part in.
+fn outdated<T>(without: &mut [T], changed: u8) -> impl Iterator<Item = &mut T> {
+    (0u8..).zip(without).filter(move |(set, _)| changed & !set != 0).map(|(_, kept)| kept)
 }
 
 /// Rays' memory on loan: new memory costs a page fault for each 4 KiB.

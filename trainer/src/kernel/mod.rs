@@ -21,7 +21,7 @@ mod extension;
 mod matmul;
 mod mlp;
 pub mod reference;
-mod scalar;
+pub(crate) mod scalar;
 mod sincos;
 mod wide;
 
@@ -56,8 +56,13 @@ pub fn set_threads(threads: usize) -> bool {
 
 /// Whether the fused operation can run where `tensor` lives.
 fn is_fused<const D: usize>(tensor: &Tensor<D>) -> bool {
+    is_on_flex(tensor) && matches!(tensor.dtype(), DType::F32 | DType::F64)
+}
+
+/// Whether `tensor` lives on Burn's CPU backend, recorded for autodiff or not.
+pub(crate) fn is_on_flex<const D: usize>(tensor: &Tensor<D>) -> bool {
     let device = tensor.device();
     let device = device.as_dispatch();
     let device = if let DispatchDevice::Autodiff(inner) = device { inner } else { device };
-    matches!(device, DispatchDevice::Flex(_)) && matches!(tensor.dtype(), DType::F32 | DType::F64)
+    matches!(device, DispatchDevice::Flex(_))
 }

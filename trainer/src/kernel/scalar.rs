@@ -7,7 +7,7 @@ use burn::tensor::{Shape, TensorData};
 use burn_flex::FlexTensor;
 
 /// A floating-point element: `f32` for training, `f64` for gradient checks.
-pub(super) trait Scalar:
+pub(crate) trait Scalar:
     Copy
     + Debug
     + Default
@@ -83,6 +83,6 @@ scalar!(f32, super::sincos::f32_scaled);
 scalar!(f64, super::sincos::f64_scaled);
 
 /// The tensor itself if contiguous, else a contiguous copy.
-pub(super) fn contiguous(tensor: FlexTensor) -> FlexTensor {
+pub(crate) fn contiguous(tensor: FlexTensor) -> FlexTensor {
     if tensor.is_contiguous() { tensor } else { tensor.to_contiguous() }
 }

@@ -9,6 +9,7 @@ use burn::optim::{AdamConfig, GradientsParams};
 use burn::tensor::{Device, Tensor};
 use glam::DVec2;
 use risorius_brick::batch::{self, RayBatch, RayValues};
+use risorius_brick::model::activation;
 use risorius_console::Failure;
 use risorius_formats::Camera;
 use risorius_trainer::Avatar;
@@ -86,7 +87,7 @@ pub(super) fn measure(run: &Path) -> Result<BurnStep, Failure> {
         }
     }
     let mut kernels = [Vec::new(), Vec::new()];
-    let mut activations: Vec<f32> = attributes.iter().map(|&a| (a + 1.0) * 0.5).collect();
+    let mut activations: Vec<f32> = attributes.iter().map(|&a| activation(a)).collect();
     activations.extend(model.code(image));
     for _ in 0..STEPS {
         let begun = Instant::now();

@@ -102,14 +102,14 @@ fn from_tensors(
         Ok(t) => Err(format!("`{name}` holds {:?}, expected {dtype:?}", t.dtype())),
         Err(e) => Err(format!("`{name}`: {e}")),
     };
-    for array in arrays(&mut model, Content::Avatar) {
+    for mut array in arrays(&mut model, Content::Avatar) {
         let dtype = match array.numbers {
             Numbers::Floats(_) => Dtype::F32,
             Numbers::Counts(_) => Dtype::U32,
             Numbers::Bytes(_) => Dtype::U8,
         };
         let bytes = take(&array.name, dtype)?;
-        fill(array, bytes)?;
+        fill(&mut array, bytes)?;
     }
     let plate = match saved.plate {
         Some([width, height]) => {

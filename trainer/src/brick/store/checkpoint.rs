@@ -166,11 +166,9 @@ pub fn read(dir: &Path, saved: &SavedBrick, more: &[&str]) -> Result<(Brick, Vec
             }
             tensor.into_bytes().map_err(|e| format!("`{name}`: {e}"))
         };
-        let (here, rest) = all.into_iter().partition(|array: &Array<'_>| roles.contains(&array.role));
-        all = rest;
-        let read = || {
-            for array in here {
-                let bytes = take(&place(&array), dtype(&array.numbers))?;
+        let mut read = || {
+            for array in all.iter_mut().filter(|array| roles.contains(&array.role)) {
+                let bytes = take(&place(array), dtype(&array.numbers))?;
                 fill(array, &bytes)?;
             }
             if roles.contains(&Role::Space) {
@@ -182,7 +180,6 @@ pub fn read(dir: &Path, saved: &SavedBrick, more: &[&str]) -> Result<(Brick, Vec
         };
         read().map_err(|problem: String| damaged(&path, &problem))?;
     }
-    drop(all);
     match ready(model, saved, Content::Checkpoint) {
         Ok(model) => Ok((model, others)),
         Err(problem) => Err(damaged(dir, &problem)),

@@ -90,7 +90,7 @@ enum Numbers<'m> {
 struct Array<'m> {
     /// Its name in an avatar's file.
     name: String,
-    /// Its path in a record: that of the parameter in [`super::record::BrickParameters`], for moments and counts too.
+    /// Its path in a record: that of the parameter in [`super::tensors::BrickParameters`], for moments and counts too.
     path: String,
     role: Role,
     /// Numbers of a row; 0 for arrays of one dimension.
@@ -114,17 +114,15 @@ impl<'m> Gather<'m> {
     }
 
     fn table(&mut self, name: &str, path: &str, width: usize, table: &'m mut Table) {
+        let whole = self.content == Content::Checkpoint;
         let mut add = |what: &str, role, width, numbers| {
             self.add(format!("{name}.{what}"), path.to_owned(), role, width, numbers);
         };
         add("values", Role::Value, width, Numbers::Floats(&mut table.values));
         add("steps", Role::Steps, 0, Numbers::Counts(&mut table.steps));
-        if self.content == Content::Checkpoint {
-            let mut add = |what: &str, role, numbers| {
-                self.add(format!("{name}.{what}"), path.to_owned(), role, width, numbers);
-            };
-            add("first", Role::First, Numbers::Floats(&mut table.first));
-            add("second", Role::Second, Numbers::Floats(&mut table.second));
+        if whole {
+            add("first", Role::First, width, Numbers::Floats(&mut table.first));
+            add("second", Role::Second, width, Numbers::Floats(&mut table.second));
         }
     }
 
@@ -195,17 +193,16 @@ fn counts(bytes: &[u8]) -> Vec<u32> {
 }
 
 /// Fills `array` with what was read; says what is wrong with it.
-fn fill(array: Array<'_>, bytes: &[u8]) -> std::result::Result<(), String> {
-    match array.numbers {
+fn fill(array: &mut Array<'_>, bytes: &[u8]) -> std::result::Result<(), String> {
+    match &mut array.numbers {
         Numbers::Floats(values) => {
-            *values = floats(bytes);
-            match values.iter().find(|v| !v.is_finite()) {
-                Some(bad) => return Err(format!("`{}` holds {bad}", array.name)),
-                None => return Ok(()),
+            **values = floats(bytes);
+            if let Some(bad) = values.iter().find(|v| !v.is_finite()) {
+                return Err(format!("`{}` holds {bad}", array.name));
             }
         }
-        Numbers::Counts(values) => *values = counts(bytes),
-        Numbers::Bytes(values) => *values = bytes.to_vec(),
+        Numbers::Counts(values) => **values = counts(bytes),
+        Numbers::Bytes(values) => **values = bytes.to_vec(),
     }
     Ok(())
 }

@@ -23,12 +23,14 @@ mod tests;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use burn::backend::{Dispatch, DispatchDevice};
+use burn::backend::Dispatch;
 use burn::tensor::{DType, Tensor};
 use risorius_brick::Brick;
 use risorius_brick::batch::RayBatch;
 use risorius_brick::expression::MASKS;
 use risorius_brick::model::LATENT;
+
+use crate::kernel::is_on_flex;
 
 pub use self::parameters::{BlockSteps, BrickMoments, BrickParameters, FieldParameters, FieldSteps};
 
@@ -119,7 +121,7 @@ pub fn render_rays(
     assert_eq!(parameters.dims(), [scene.shown_by], "numbers of the scene");
     assert_eq!(activations.dims(), [scene.activations], "activations and the code");
     assert_eq!(motion.dims(), [6], "a turn and a shift");
-    let columns = if is_fused(&parameters) {
+    let columns = if is_on_flex(&parameters) && parameters.dtype() == DType::F32 {
         let call = op::Call { scene: Arc::clone(scene), batch: Arc::clone(batch) };
         Tensor::<2>::from_dispatch(<Dispatch as op::RayKernels>::fused_rays(
             parameters.into_dispatch(),
@@ -141,12 +143,4 @@ fn split(columns: &Tensor<2>) -> Rendered {
         columns.clone().narrow(1, at - width, width)
     };
     Rendered { color: next(3), left: next(1), masks: next(MASKS), depth: next(2), regular: next(1) }
-}
-
-/// Whether the kernels can run where `tensor` lives.
-fn is_fused(tensor: &Tensor<1>) -> bool {
-    let device = tensor.device();
-    let device = device.as_dispatch();
-    let device = if let DispatchDevice::Autodiff(inner) = device { inner } else { device };
-    matches!(device, DispatchDevice::Flex(_)) && tensor.dtype() == DType::F32
 }

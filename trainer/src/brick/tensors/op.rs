@@ -8,12 +8,13 @@ use burn::backend::autodiff::grads::Gradients;
 use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, backend_extension};
-use burn::tensor::{Shape, TensorData};
+use burn::tensor::Shape;
 use burn_flex::{Flex, FlexTensor};
 use risorius_brick::batch::{self, RayBatch, RayValues};
 use risorius_brick::expression::MASKS;
 
 use super::{COLUMNS, RayScene};
+use crate::kernel::scalar::{Scalar as _, contiguous};
 
 /// What a call is about besides its tensors.
 #[derive(Clone, Debug)]
@@ -77,20 +78,9 @@ impl<B: RayGradient, C: CheckpointStrategy> RayKernels for Autodiff<B, C> {
     }
 }
 
-fn contiguous(tensor: FlexTensor) -> FlexTensor {
-    if tensor.is_contiguous() { tensor } else { tensor.to_contiguous() }
-}
-
-fn view(tensor: &FlexTensor) -> &[f32] {
-    match tensor.as_slice() {
-        Some(values) => values,
-        None => panic!("tensor of {:?} is not contiguous or not of f32", tensor.dtype()),
-    }
-}
-
 fn vector(values: Vec<f32>) -> FlexTensor {
     let shape = Shape::new([values.len()]);
-    FlexTensor::from_data(TensorData::new(values, shape))
+    f32::tensor(values, shape)
 }
 
 /// A motion's six numbers.
@@ -101,9 +91,10 @@ fn six(values: &[f32]) -> [f32; 6] {
 impl RayKernels for Flex {
     fn fused_rays(parameters: FlexTensor, activations: FlexTensor, motion: FlexTensor, call: Call) -> FlexTensor {
         let [parameters, activations, motion] = [parameters, activations, motion].map(contiguous);
-        let motion = six(view(&motion));
-        let values =
-            call.scene.with(view(&parameters), |model| batch::forward(model, view(&activations), &motion, &call.batch));
+        let motion = six(f32::view(&motion));
+        let values = call
+            .scene
+            .with(f32::view(&parameters), |model| batch::forward(model, f32::view(&activations), &motion, &call.batch));
         let mut columns = Vec::with_capacity(values.len() * COLUMNS);
         for v in &values {
             columns.extend_from_slice(&v.color);
@@ -112,7 +103,7 @@ impl RayKernels for Flex {
             columns.extend_from_slice(&v.depth);
             columns.push(v.regular);
         }
-        FlexTensor::from_data(TensorData::new(columns, Shape::new([values.len(), COLUMNS])))
+        f32::tensor(columns, Shape::new([values.len(), COLUMNS]))
     }
 }
 
@@ -120,7 +111,7 @@ impl RayGradient for Flex {
     fn rays_gradient(inputs: [FlexTensor; 3], call: Call, upstream: FlexTensor) -> [FlexTensor; 3] {
         let [parameters, activations, motion] = inputs.map(contiguous);
         let upstream = contiguous(upstream);
-        let upstream: Vec<RayValues> = view(&upstream)
+        let upstream: Vec<RayValues> = f32::view(&upstream)
             .as_chunks::<COLUMNS>()
             .0
             .iter()
@@ -137,9 +128,9 @@ impl RayGradient for Flex {
                 }
             })
             .collect();
-        let motion = six(view(&motion));
-        let grad = call.scene.with(view(&parameters), |model| {
-            batch::backward(model, view(&activations), &motion, &call.batch, &upstream)
+        let motion = six(f32::view(&motion));
+        let grad = call.scene.with(f32::view(&parameters), |model| {
+            batch::backward(model, f32::view(&activations), &motion, &call.batch, &upstream)
         });
         [vector(grad.tables.concat()), vector(grad.activations), vector(grad.motion.to_vec())]
     }

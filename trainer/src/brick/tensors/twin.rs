@@ -14,6 +14,7 @@ use risorius_brick::march::March;
 use risorius_brick::math::{DENSITY_CLAMP, DENSITY_SHIFT};
 use risorius_brick::model::LATENT;
 use risorius_brick::occupancy::Occupancy;
+use risorius_brick::table::Table;
 
 use super::RayScene;
 
@@ -107,23 +108,14 @@ impl Twin<'_> {
     fn render(&self, parameters: &Tensor<1>, activations: &Tensor<1>, motion: &Tensor<1>) -> Tensor<2> {
         let Self { model, batch, .. } = self;
         let rays = batch.directions.len();
-        let mut at = 0;
-        let mut tables = model.shown_by().into_iter().map(|table| {
-            at += table.values.len();
-            parameters.clone().narrow(0, at - table.values.len(), table.values.len())
-        });
-        let mut field = |part: &risorius_brick::model::Part| -> (Vec<Tensor<2>>, Tensor<1>) {
-            let levels = tables.by_ref().take(part.field.levels.len()).map(|t| rows(t, FEATURES)).collect();
-            (levels, tables.by_ref().next().unwrap_or_else(|| parameters.clone()))
-        };
-        let head = field(&model.head);
-        let background = model.background.as_ref().map(&mut field);
-        let residuals: Vec<Tensor<2>> =
-            tables.by_ref().take(model.expression.residuals.len()).map(|t| rows(t, CHANNELS)).collect();
-        let masks = tables.by_ref().take(1).map(|t| rows(t, MASKS)).collect::<Vec<_>>();
-        let bases: Vec<Tensor<2>> = tables.map(|t| rows(t, 4)).collect();
+        let mut numbers = Cut { flat: parameters, at: 0 };
+        let head = numbers.field(&model.head.field);
+        let background = model.background.as_ref().map(|part| numbers.field(&part.field));
+        let residuals = numbers.matrices(&model.expression.residuals, CHANNELS);
+        let masks = numbers.matrix(&model.expression.masks, MASKS);
+        let bases = numbers.matrices(&model.latent_bases, 4);
 
-        let gates = self.gates(&masks[0]);
+        let gates = self.gates(&masks);
         let blend = self.blend(&gates, &residuals, activations);
         let code = activations.clone().narrow(0, activations.dims()[0] - LATENT, LATENT);
         let latent = bases.into_iter().enumerate().map(|(j, basis)| basis * one(&code, j)).reduce(|a, b| a + b);
@@ -340,9 +332,31 @@ fn one(vector: &Tensor<1>, i: usize) -> Tensor<2> {
     vector.clone().narrow(0, i, 1).reshape([1, 1])
 }
 
-fn rows(flat: Tensor<1>, width: usize) -> Tensor<2> {
-    let count = flat.dims()[0] / width;
-    flat.reshape([count, width])
+/// Tables cut from one tensor, in the order of [`Brick::shown_by`].
+struct Cut<'a> {
+    flat: &'a Tensor<1>,
+    at: usize,
+}
+
+impl Cut<'_> {
+    fn vector(&mut self, table: &Table) -> Tensor<1> {
+        let from = self.at;
+        self.at += table.values.len();
+        self.flat.clone().narrow(0, from, table.values.len())
+    }
+
+    fn matrix(&mut self, table: &Table, width: usize) -> Tensor<2> {
+        self.vector(table).reshape([table.values.len() / width, width])
+    }
+
+    fn matrices(&mut self, tables: &[Table], width: usize) -> Vec<Tensor<2>> {
+        tables.iter().map(|table| self.matrix(table, width)).collect()
+    }
+
+    /// Levels and network.
+    fn field(&mut self, field: &Field) -> (Vec<Tensor<2>>, Tensor<1>) {
+        (self.matrices(&field.features, FEATURES), self.vector(&field.net))
+    }
 }
 
 /// Σ weight · row over the corners around each point.
