@@ -9,7 +9,7 @@ use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-use crate::binary;
+use crate::{binary, succeed, text};
 
 /// The binaries that captures and avatars are made with.
 const MAKERS: [&str; 5] = ["synth", "capture", "tracker", "dataset", "trainer"];
@@ -64,6 +64,30 @@ fn key() -> u64 {
         (name, of).hash(&mut hasher);
     }
     hasher.finish()
+}
+
+/// A small capture with a take, a dataset and an avatar of each field: `capture`, `take`, `data`, `brick`, `confies`.
+///
+/// # Panics
+/// When it cannot be made.
+#[must_use]
+#[expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+pub fn tiny() -> PathBuf {
+    shared_fixture("tiny", |dir| {
+        let at = |name: &str| dir.join(name);
+        let (capture, take, data) = (at("capture"), at("take"), at("data"));
+        succeed("synth", &["--out", text(&capture), "--frames", "24", "--fps", "30", "--size", "64x96", "-q"]);
+        succeed("capture", &["record", "--input", text(&capture.join("video.mp4")), "--out", text(&take), "-q"]);
+        succeed("tracker", &["import", text(&take), "--openface", text(&capture.join("openface.csv")), "-q"]);
+        succeed("tracker", &["poses", text(&take), "--colmap-model", text(&capture.join("truth_colmap")), "-q"]);
+        let build = ["build", text(&take), "--balance", "--frames", "12", "--scale", "2", "--scales", "2", "-q"];
+        succeed("dataset", &[&build[..], &["--out", text(&data)]].concat());
+        for (field, more) in [("brick", &["--steps", "20"][..]), ("confies", &["--preset", "tiny", "--steps", "2"])] {
+            let run = at(field);
+            succeed("trainer", &[&["fit", text(&data), "--out", text(&run), "--field", field, "-q"], more].concat());
+            fs::remove_dir_all(run.join("checkpoints")).unwrap();
+        }
+    })
 }
 
 /// A copy of the folder `from` at `to` for a test that writes into it: files are linked where the file system can, so that

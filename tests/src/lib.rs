@@ -1,12 +1,14 @@
 //! Shared by the end-to-end tests: where the binaries and the development data are.
 
 mod fixture;
+mod viewer;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-pub use fixture::{linked_copy, shared_fixture};
+pub use fixture::{linked_copy, shared_fixture, tiny};
+pub use viewer::{Answer, Viewer, Visitor};
 
 /// The built binary `name`; tests of the whole chain run what users run.
 ///
@@ -49,6 +51,15 @@ pub fn run(name: &str, args: &[&str]) -> Output {
             panic!("{} cannot be started: {e}; build it with `cargo build --release --workspace`", path.display())
         }
     }
+}
+
+/// A path as the argument of a command.
+///
+/// # Panics
+/// When it is no UTF-8.
+#[must_use]
+pub fn text(path: &Path) -> &str {
+    path.to_str().unwrap_or_else(|| panic!("{} is no UTF-8", path.display()))
 }
 
 /// All files below a folder, by their paths in it, with what they hold.

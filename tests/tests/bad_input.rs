@@ -5,11 +5,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use risorius_tests::{run, succeed};
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
+use risorius_tests::{run, succeed, text};
 
 /// A small capture, taken, tracked and posed.
 struct Bench {

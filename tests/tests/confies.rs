@@ -5,12 +5,8 @@
 use std::fs;
 use std::path::Path;
 
-use risorius_tests::{run, succeed};
+use risorius_tests::{run, succeed, text};
 use serde_json::Value;
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
 
 fn json(output: &str) -> Value {
     serde_json::from_str(output).unwrap_or_else(|e| panic!("not one JSON document ({e}): {output}"))

@@ -7,12 +7,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use risorius_tests::{binary, run, succeed};
+use risorius_tests::{binary, run, succeed, text};
 use serde_json::Value;
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
 
 fn json(output: &str) -> Value {
     serde_json::from_str(output).unwrap_or_else(|e| panic!("not one JSON document ({e}): {output}"))

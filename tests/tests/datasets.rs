@@ -8,11 +8,7 @@ use std::process::Command;
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{self, Dataset};
 use risorius_formats::{Silent, openface};
-use risorius_tests::{binary, files, run, shared, succeed};
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
+use risorius_tests::{binary, files, run, shared, succeed, text};
 
 fn json(output: &str) -> serde_json::Value {
     serde_json::from_str(output).unwrap_or_else(|e| panic!("not one JSON document ({e}): {output}"))

@@ -5,11 +5,7 @@
 use std::path::Path;
 
 use risorius_formats::views::ViewList;
-use risorius_tests::{run, succeed};
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
+use risorius_tests::{run, succeed, text};
 
 fn json(output: &str) -> serde_json::Value {
     serde_json::from_str(output).unwrap_or_else(|e| panic!("not one JSON document ({e}): {output}"))

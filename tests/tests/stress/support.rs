@@ -1,10 +1,10 @@
 //! Poison values, and a ledger of what was tried with them.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::{Path, PathBuf};
 
 use risorius_brick::{BackgroundFrame, Brick, HeadBox, Layout, math};
-use risorius_tests::{run, shared_fixture, succeed};
+use risorius_tests::run;
+pub(crate) use risorius_tests::{text, tiny};
 
 /// Values that arithmetic trips over, by name.
 pub(crate) const POISON: [(&str, f64); 18] = [
@@ -120,30 +120,6 @@ impl Ledger {
         eprintln!("{title}: {} entries, {} tries, {} wrong", self.entries, self.tried, self.wrong.len());
         assert!(self.wrong.is_empty(), "{title}:\n{}", self.wrong.join("\n"));
     }
-}
-
-/// A path as the argument of a command.
-pub(crate) fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
-
-/// A small capture with a take, a dataset and an avatar of each field: `capture`, `take`, `data`, `brick`, `confies`.
-pub(crate) fn tiny() -> PathBuf {
-    shared_fixture("tiny", |dir| {
-        let at = |name: &str| dir.join(name);
-        let (capture, take, data) = (at("capture"), at("take"), at("data"));
-        succeed("synth", &["--out", text(&capture), "--frames", "24", "--fps", "30", "--size", "64x96", "-q"]);
-        succeed("capture", &["record", "--input", text(&capture.join("video.mp4")), "--out", text(&take), "-q"]);
-        succeed("tracker", &["import", text(&take), "--openface", text(&capture.join("openface.csv")), "-q"]);
-        succeed("tracker", &["poses", text(&take), "--colmap-model", text(&capture.join("truth_colmap")), "-q"]);
-        let build = ["build", text(&take), "--balance", "--frames", "12", "--scale", "2", "--scales", "2", "-q"];
-        succeed("dataset", &[&build[..], &["--out", text(&data)]].concat());
-        for (field, more) in [("brick", &["--steps", "20"][..]), ("confies", &["--preset", "tiny", "--steps", "2"])] {
-            let run = at(field);
-            succeed("trainer", &[&["fit", text(&data), "--out", text(&run), "--field", field, "-q"], more].concat());
-            std::fs::remove_dir_all(run.join("checkpoints")).unwrap();
-        }
-    })
 }
 
 /// Runs a command that may succeed or be refused, but must not crash: gives its status and what it said.
