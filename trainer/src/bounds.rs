@@ -72,6 +72,7 @@ pub(crate) fn of_settings(settings: &BrickSettings) -> Checked {
     }
     within("finest_level", settings.finest_level, 0..=2048)?;
     s.finest.iter().try_for_each(|&n| within("step.finest", n, 1..=MOST_ALONG))?;
+    within("step.settled_planes", s.settled_planes, 1..=MOST_ALONG)?;
     for (name, share) in [("region_share", settings.region_share), ("step.code_share", s.code_share)] {
         if !(0.0..=1.0).contains(&share) {
             return Err(format!("`{name}` is {share}, expected 0 to 1"));

@@ -188,11 +188,12 @@ pub(crate) fn allocate(part: &mut Part, rng: &mut impl Rng) {
                 for z in range(p[2], 2) {
                     for y in range(p[1], 1) {
                         for x in range(p[0], 0) {
-                            part.field.allocate(l, (z * bricks[1] + y) * bricks[0] + x, rng);
+                            part.field.levels[l].allocate((z * bricks[1] + y) * bricks[0] + x);
                         }
                     }
                 }
             }
         }
+        part.field.grow(l, rng);
     }
 }

@@ -67,43 +67,44 @@ pub struct FieldGrad {
 }
 
 impl Field {
-    /// Small random features, uniform weights after He.
+    /// Lattices without numbers.
     ///
     /// # Panics
     /// With more than [`LEVELS`] levels.
-    pub fn new(levels: Vec<Lattice>, rng: &mut impl Rng) -> Self {
+    pub fn empty(levels: Vec<Lattice>) -> Self {
         assert!(levels.len() <= LEVELS, "at most {LEVELS} levels");
-        let features = levels
-            .iter()
-            .map(|level| {
-                let empty = if level.sparse { BRICK * FEATURES } else { 0 };
-                let mut at = 0;
-                Table::new(level.slots * LAYERS, LAYER_VERTICES * FEATURES, || {
-                    at += 1;
-                    if at <= empty { 0.0 } else { (rng.random::<f32>() - 0.5) * 2e-2 }
-                })
-            })
-            .collect();
+        let features = levels.iter().map(|_| Table::empty(LAYER_VERTICES * FEATURES)).collect();
+        Self { levels, features, net: Table::empty(LAYER[4]), live: 2 }
+    }
+
+    /// Small random features, uniform weights after He.
+    pub fn draw(&mut self, rng: &mut impl Rng) {
+        for (level, features) in self.levels.iter().zip(&mut self.features) {
+            let empty = if level.sparse { BRICK * FEATURES } else { 0 };
+            let mut at = 0;
+            *features = Table::new(level.slots * LAYERS, features.block, || {
+                at += 1;
+                if at <= empty { 0.0 } else { (rng.random::<f32>() - 0.5) * 2e-2 }
+            });
+        }
         let mut at = 0;
-        let net = Table::new(1, LAYER[4], || {
+        self.net = Table::new(1, LAYER[4], || {
             let layer = LAYER.iter().rposition(|&start| start <= at).unwrap_or(0).min(3);
             at += 1;
             let fan_in = [INPUT, HIDDEN, COLOR_INPUT, HIDDEN][layer] as f32;
             let gain = if layer == 3 { 0.3 } else { 1.0 };
             (rng.random::<f32>() * 2.0 - 1.0) * (6.0 / fan_in).sqrt() * gain
         });
-        Self { levels, features, net, live: 2 }
     }
 
-    /// Gives a sparse level's brick a slot with small random features.
-    pub fn allocate(&mut self, level: usize, brick: usize, rng: &mut impl Rng) {
-        if self.levels[level].allocate(brick) {
-            let table = &mut self.features[level];
-            let from = table.values.len();
-            table.grow(self.levels[level].slots * LAYERS);
-            for v in &mut table.values[from..] {
-                *v = (rng.random::<f32>() - 0.5) * 2e-3;
-            }
+    /// Gives small random features to the bricks that a level's lattice has taken in. All at once: a table of hundreds of
+    /// megabytes that moves stands in memory twice.
+    pub fn grow(&mut self, level: usize, rng: &mut impl Rng) {
+        let table = &mut self.features[level];
+        let from = table.values.len();
+        table.grow(self.levels[level].slots * LAYERS);
+        for v in &mut table.values[from..] {
+            *v = (rng.random::<f32>() - 0.5) * 2e-3;
         }
     }
 

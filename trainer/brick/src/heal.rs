@@ -23,14 +23,6 @@ const POINTS: usize = 9;
 /// they were.
 pub fn heal(model: &mut Brick, expressions: &[Vec<f32>]) -> [Vec<u8>; 2] {
     let gates = model.expression.gates();
-    let blends: Vec<Vec<f32>> = expressions
-        .iter()
-        .map(|activations| {
-            let mut blend = Vec::new();
-            model.expression.blend(&gates, activations, &mut blend);
-            blend
-        })
-        .collect();
     let beside = beside_open(&model.head.occupancy);
     let lattice = &model.expression.lattice;
     // Only regions differ from one expression to the next.
@@ -40,8 +32,10 @@ pub fn heal(model: &mut Brick, expressions: &[Vec<f32>]) -> [Vec<u8>; 2] {
         .filter(|&p| lattice.corners(center(p)).index.iter().any(|&corner| corner >= BRICK as u32))
         .collect();
     let mut opened: Vec<[usize; 3]> = Vec::new();
-    for (i, blend) in blends.iter().enumerate() {
-        let deformation = deformation(model, blend, &gates, None);
+    let mut blend = Vec::new();
+    for (i, activations) in expressions.iter().enumerate() {
+        model.expression.blend(&gates, activations, &mut blend);
+        let deformation = deformation(model, &blend, &gates, None);
         let parts = if i == 0 { &beside } else { &in_regions };
         opened.extend(dense(&model.head, Some(&deformation), parts, 2.0 / model.divisions as f32));
     }

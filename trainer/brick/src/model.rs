@@ -148,39 +148,58 @@ pub struct Brick {
 impl Brick {
     /// An untrained avatar; `hull(world point)` gives the bits of the regions that hold it.
     pub fn new(layout: Layout, seed: u64, hull: impl Fn([f32; 3]) -> u8) -> Self {
+        let mut model = Self::with_hull(layout, hull);
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        model.head.field.draw(&mut rng);
+        if let Some(background) = &mut model.background {
+            background.field.draw(&mut rng);
+        }
+        for basis in &mut model.latent_bases {
+            *basis = Table::new(model.latent_lattice.slots, basis.block, || (rng.random::<f32>() - 0.5) * 1e-3);
+        }
+        let images = model.layout.images;
+        model.codes = Table::new(images, LATENT, || (rng.random::<f32>() - 0.5) * 0.2);
+        for table in [&mut model.alphas, &mut model.log_betas, &mut model.motions] {
+            *table = Table::new(images, table.block, || 0.0);
+        }
+        model
+    }
+
+    /// An avatar of this layout without bricks and numbers, for those of a file.
+    pub fn empty(layout: Layout) -> Self {
+        Self::with_hull(layout, |_| 0)
+    }
+
+    /// Lattices and residuals; of all other tables the size of their blocks.
+    fn with_hull(layout: Layout, hull: impl Fn([f32; 3]) -> u8) -> Self {
         let mut levels: Vec<Lattice> = [16, 32, 64].map(|n| Lattice::dense([n; 3])).into();
         let mut n = 128;
         while n <= layout.finest {
             levels.push(Lattice::sparse([n; 3]));
             n *= 2;
         }
-        let head = Part { field: Field::new(levels, &mut rng), occupancy: Occupancy::default() };
+        let part = |levels| Part { field: Field::empty(levels), occupancy: Occupancy::default() };
+        let head = part(levels);
         let background = layout.background.map(|_| {
-            let levels =
-                [[32, 24, 16], [64, 48, 32], [128, 96, 32], [256, 192, 16], [512, 384, 8]].map(Lattice::dense).into();
-            Part { field: Field::new(levels, &mut rng), occupancy: Occupancy::default() }
+            let levels = [[32, 24, 16], [64, 48, 32], [128, 96, 32], [256, 192, 16], [512, 384, 8]];
+            part(levels.map(Lattice::dense).into())
         });
         let HeadBox { center, half } = layout.head_box;
         let expression =
             Expression::new([layout.expression_vertices; 3], layout.region_of.clone(), layout.regions, LATENT, |p| {
                 hull(std::array::from_fn(|a| center[a] + p[a] * half))
             });
-        let latent_lattice = Lattice::dense([LATENT_VERTICES; 3]);
-        let latent_bases = (0..LATENT)
-            .map(|_| Table::new(latent_lattice.slots, BRICK * 4, || (rng.random::<f32>() - 0.5) * 1e-3))
-            .collect();
-        let (k, images) = (layout.region_of.len(), layout.images);
+        let units = layout.region_of.len();
         Self {
             head,
             background,
             expression,
-            latent_lattice,
-            latent_bases,
-            codes: Table::new(images, LATENT, || (rng.random::<f32>() - 0.5) * 0.2),
-            alphas: Table::new(images, k, || 0.0),
-            log_betas: Table::new(images, k, || 0.0),
-            motions: Table::new(images, 6, || 0.0),
+            latent_lattice: Lattice::dense([LATENT_VERTICES; 3]),
+            latent_bases: vec![Table::empty(BRICK * 4); LATENT],
+            codes: Table::empty(LATENT),
+            alphas: Table::empty(units),
+            log_betas: Table::empty(units),
+            motions: Table::empty(6),
             divisions: 96,
             planes: 96,
             neutral_image: 0,

@@ -14,9 +14,9 @@ use crate::simd::{Simd, Task};
 pub struct Table {
     /// The numbers.
     pub values: Vec<f32>,
-    /// First moments.
+    /// First moments; none in a finished avatar, which would take three times the memory.
     pub first: Vec<f32>,
-    /// Second moments.
+    /// Second moments; none in a finished avatar.
     pub second: Vec<f32>,
     /// Updates so far, per block.
     pub steps: Vec<u32>,
@@ -67,6 +67,11 @@ impl Table {
             steps: vec![0; blocks],
             block,
         }
+    }
+
+    /// A table without numbers, for blocks of `block`.
+    pub fn empty(block: usize) -> Self {
+        Self { block, ..Self::default() }
     }
 
     /// Number of blocks.
@@ -145,10 +150,11 @@ impl Share<'_> {
     }
 }
 
-/// Zeros up to `n` numbers. Tables grow brick by brick to hundreds of megabytes: doubling would waste as much again.
+/// Zeros up to `n` numbers. Room is held for a quarter more, which takes no memory before it is used: a table that grows a
+/// little does not move.
 fn lengthen(values: &mut Vec<f32>, n: usize) {
     if values.capacity() < n {
-        values.reserve_exact(n + n / 8 - values.len());
+        values.reserve_exact(n + n / 4 - values.len());
     }
     values.resize(n, 0.0);
 }

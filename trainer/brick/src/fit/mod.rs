@@ -194,9 +194,10 @@ impl Fitter {
     fn look(&self) -> Look {
         let share = if self.settings.skips.coarse_first { STAGES[self.progress.stage].0 } else { 1.0 };
         let of = |n: usize| ((n as f32 * share) as usize).max(16);
+        let settled = self.settings.settled_planes.min(self.settings.finest[1]).max(16);
         Look {
             divisions: of(self.settings.finest[0]),
-            planes: of(self.settings.finest[1]),
+            planes: if self.progress.stage == LAST_STAGE { settled } else { of(self.settings.finest[1]) },
             opaque: if self.settings.skips.hidden { OPAQUE } else { 0.0 },
             batch: BATCH,
             faint: None,

@@ -50,6 +50,9 @@ pub struct Settings {
     pub refine_cameras: bool,
     /// Finest divisions of the head box and planes of the background.
     pub finest: [usize; 2],
+    /// Planes of the background in the last stage. While it is fog, surfaces form where planes are; once it is thin, fewer
+    /// planes show the same, and what they save goes to more rays, and to pictures.
+    pub settled_planes: usize,
     /// What is left out.
     pub skips: Skips,
 }
@@ -77,6 +80,7 @@ impl Default for Settings {
             code_share: 0.5,
             refine_cameras: false,
             finest: [160, 160],
+            settled_planes: 64,
             skips: Skips::default(),
         }
     }

@@ -212,6 +212,20 @@ fn culling_keeps_what_is_seen() {
 }
 
 #[test]
+fn the_background_has_fewer_planes_once_it_is_settled() {
+    let views = Ball::default();
+    let planes = |stage: usize, settled_planes: usize| {
+        let mut fit = fitter(&views, Settings { finest: [40, 40], settled_planes, ..small() });
+        fit.progress.stage = stage;
+        assert!(fit.step(&views, 0.5).color.is_finite());
+        (fit.model.divisions, fit.model.planes)
+    };
+    assert_eq!(planes(LAST_STAGE - 1, 20), (24, 24));
+    assert_eq!(planes(LAST_STAGE, 20), (40, 20));
+    assert_eq!(planes(LAST_STAGE, 64), (40, 40), "never more than before");
+}
+
+#[test]
 fn every_skip_of_a_fit_can_be_switched_off() {
     let views = Ball::default();
     for name in Skips::NAMES {

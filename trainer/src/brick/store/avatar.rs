@@ -1,13 +1,15 @@
 //! An avatar's arrays in safetensors.
 
 use std::borrow::Cow;
+use std::fs::File;
+use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::Path;
 
 use risorius_brick::Brick;
 use risorius_formats::{FormatError, atomic};
-use safetensors::tensor::{Dtype, SafeTensors};
+use safetensors::tensor::{Dtype, Metadata};
 
-use super::{Content, Numbers, SavedBrick, arrays, check_finite, fill, ready, untrained};
+use super::{Content, Numbers, SavedBrick, arrays, check_finite, fill, read_numbers, ready, unfilled};
 use crate::brick::plate::Plate;
 use crate::error::Result;
 use crate::saved::damaged;
@@ -84,37 +86,80 @@ pub fn write(path: &Path, model: &mut Brick, plate: Option<&Plate>) -> Result<()
     })
 }
 
-/// Reads what [`write()`] wrote.
+/// Reads what [`write()`] wrote, each array to where it stays.
 pub fn read(path: &Path, saved: &SavedBrick) -> Result<(Brick, Option<Plate>)> {
-    let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, "read", &e))?;
-    let tensors = SafeTensors::deserialize(&bytes).map_err(|e| damaged(path, &e))?;
-    from_tensors(&tensors, saved, bytes.len()).map_err(|problem| damaged(path, &problem))
+    let io = |e: std::io::Error| FormatError::io(path, "read", &e);
+    let file = File::open(path).map_err(io)?;
+    let length = file.metadata().map_err(io)?.len();
+    let arrays = Arrays::of(file, length);
+    arrays.and_then(|arrays| from_arrays(arrays, saved)).map_err(|problem| damaged(path, &problem))
 }
 
-fn from_tensors(
-    tensors: &SafeTensors<'_>,
-    saved: &SavedBrick,
-    file_bytes: usize,
-) -> std::result::Result<(Brick, Option<Plate>), String> {
-    let mut model = untrained(saved, file_bytes)?;
-    let take = |name: &str, dtype: Dtype| match tensors.tensor(name) {
-        Ok(t) if t.dtype() == dtype => Ok(t.data()),
-        Ok(t) => Err(format!("`{name}` holds {:?}, expected {dtype:?}", t.dtype())),
-        Err(e) => Err(format!("`{name}`: {e}")),
-    };
+/// The arrays of a file, of which only the header was read.
+struct Arrays {
+    file: File,
+    length: u64,
+    /// Where the arrays' bytes begin.
+    start: u64,
+    header: Metadata,
+}
+
+impl Arrays {
+    /// The header is checked against the file's length before memory is taken.
+    fn of(mut file: File, length: u64) -> std::result::Result<Self, String> {
+        /// Bytes of a header that are read; some sixty arrays take six thousand.
+        const MAX_HEADER: u64 = 1 << 20;
+        let mut size = [0; 8];
+        file.read_exact(&mut size).map_err(|e| format!("its header: {e}"))?;
+        let size = u64::from_le_bytes(size);
+        if size > MAX_HEADER || 8 + size > length {
+            return Err(format!("a header of {size} bytes in a file of {length}"));
+        }
+        let mut text = vec![0; size as usize];
+        file.read_exact(&mut text).map_err(|e| format!("its header: {e}"))?;
+        let header: Metadata = serde_json::from_slice(&text).map_err(|e| format!("its header: {e}"))?;
+        let start = 8 + size;
+        let held = length - start;
+        if header.data_len() as u64 != held {
+            return Err(format!("its header tells {} bytes, and {held} follow", header.data_len()));
+        }
+        Ok(Self { file, length, start, header })
+    }
+
+    /// Goes to an array, and gives the number of its bytes.
+    fn go_to(&mut self, name: &str, dtype: Dtype) -> std::result::Result<usize, String> {
+        let info = self.header.info(name).ok_or_else(|| format!("`{name}` is missing"))?;
+        if info.dtype != dtype {
+            return Err(format!("`{name}` holds {:?}, expected {dtype:?}", info.dtype));
+        }
+        let (from, to) = info.data_offsets;
+        let count = info.shape.iter().try_fold(dtype.bitsize() / 8, |bytes, &n| bytes.checked_mul(n));
+        // Whatever the header says, no array is longer than the file.
+        if to.checked_sub(from) != count || to as u64 > self.length - self.start {
+            return Err(format!("`{name}` of shape {:?} stands at bytes {from} to {to}", info.shape));
+        }
+        let at = SeekFrom::Start(self.start + from as u64);
+        self.file.seek(at).map_err(|e| format!("`{name}`: {e}"))?;
+        Ok(to - from)
+    }
+}
+
+fn from_arrays(mut file: Arrays, saved: &SavedBrick) -> std::result::Result<(Brick, Option<Plate>), String> {
+    let mut model = unfilled(saved, usize::try_from(file.length).unwrap_or(usize::MAX))?;
     for mut array in arrays(&mut model, Content::Avatar) {
         let dtype = match array.numbers {
             Numbers::Floats(_) => Dtype::F32,
             Numbers::Counts(_) => Dtype::U32,
             Numbers::Bytes(_) => Dtype::U8,
         };
-        let bytes = take(&array.name, dtype)?;
-        fill(&mut array, bytes)?;
+        let bytes = file.go_to(&array.name, dtype)?;
+        fill(&mut array, bytes, &mut file.file)?;
     }
     let plate = match saved.plate {
         Some([width, height]) => {
-            let rgb = take("plate", Dtype::U8)?.to_vec();
-            (rgb.len() == width as usize * height as usize * 3).then_some(Plate { width, height, rgb })
+            let bytes = file.go_to("plate", Dtype::U8)?;
+            let rgb = read_numbers(bytes, &mut file.file).map_err(|e| format!("`plate`: {e}"))?;
+            (bytes == width as usize * height as usize * 3).then_some(Plate { width, height, rgb })
         }
         None => None,
     };

@@ -14,7 +14,7 @@ use burn_pack::{Reader, Writer};
 use risorius_brick::Brick;
 use risorius_formats::{FormatError, atomic};
 
-use super::{Array, Content, Numbers, Role, SavedBrick, arrays, check_finite, fill, floats, ready, untrained};
+use super::{Array, Content, Numbers, Role, SavedBrick, arrays, check_finite, fill, read_numbers, ready, unfilled};
 use crate::error::Result;
 use crate::saved::damaged;
 
@@ -148,7 +148,7 @@ pub fn read(dir: &Path, saved: &SavedBrick, more: &[&str]) -> Result<(Brick, Vec
         let length = std::fs::metadata(&path).map_err(|e| FormatError::io(&path, "read", &e))?.len();
         file_bytes += usize::try_from(length).unwrap_or(usize::MAX);
     }
-    let mut model = untrained(saved, file_bytes).map_err(|problem| damaged(dir, &problem))?;
+    let mut model = unfilled(saved, file_bytes).map_err(|problem| damaged(dir, &problem))?;
     let mut all = arrays(&mut model, Content::Checkpoint);
     let mut others = Vec::new();
     for (file, roles) in FILES {
@@ -169,11 +169,13 @@ pub fn read(dir: &Path, saved: &SavedBrick, more: &[&str]) -> Result<(Brick, Vec
         let mut read = || {
             for array in all.iter_mut().filter(|array| roles.contains(&array.role)) {
                 let bytes = take(&place(array), dtype(&array.numbers))?;
-                fill(array, &bytes)?;
+                fill(array, bytes.len(), &mut &bytes[..])?;
             }
             if roles.contains(&Role::Space) {
                 for name in more {
-                    others.push(floats(&take(name, DType::F32)?));
+                    let bytes = take(name, DType::F32)?;
+                    let values = read_numbers(bytes.len() / 4, &mut &bytes[..]);
+                    others.push(values.map_err(|e| format!("`{name}`: {e}"))?);
                 }
             }
             Ok(())

@@ -5,6 +5,7 @@ pub mod avatar;
 pub mod checkpoint;
 mod settle;
 
+use std::io::Read;
 use std::path::Path;
 
 use risorius_brick::expression::{CHANNELS, MASKS};
@@ -183,34 +184,37 @@ fn check_finite(path: &Path, arrays: &[Array<'_>]) -> Result<()> {
     Ok(())
 }
 
-/// Numbers from a file's bytes.
-fn floats(bytes: &[u8]) -> Vec<f32> {
-    bytes.as_chunks::<4>().0.iter().map(|c| f32::from_le_bytes(*c)).collect()
+/// Little-endian numbers, read to where they stay: a copy of the file beside them would double what opening takes.
+fn read_numbers<T: bytemuck::Pod>(count: usize, from: &mut impl Read) -> std::io::Result<Vec<T>> {
+    let mut values = vec![T::zeroed(); count];
+    let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut values);
+    from.read_exact(bytes)?;
+    if cfg!(target_endian = "big") {
+        bytes.chunks_exact_mut(size_of::<T>()).for_each(<[u8]>::reverse);
+    }
+    Ok(values)
 }
 
-fn counts(bytes: &[u8]) -> Vec<u32> {
-    bytes.as_chunks::<4>().0.iter().map(|c| u32::from_le_bytes(*c)).collect()
-}
-
-/// Fills `array` with what was read; says what is wrong with it.
-fn fill(array: &mut Array<'_>, bytes: &[u8]) -> std::result::Result<(), String> {
+/// Fills `array` with the next `bytes` bytes of `from`; says what is wrong with them.
+fn fill(array: &mut Array<'_>, bytes: usize, from: &mut impl Read) -> std::result::Result<(), String> {
+    let broken = |e: std::io::Error| format!("`{}`: {e}", array.name);
     match &mut array.numbers {
         Numbers::Floats(values) => {
-            **values = floats(bytes);
+            **values = read_numbers(bytes / 4, from).map_err(broken)?;
             if let Some(bad) = values.iter().find(|v| !v.is_finite()) {
                 return Err(format!("`{}` holds {bad}", array.name));
             }
         }
-        Numbers::Counts(values) => **values = counts(bytes),
-        Numbers::Bytes(values) => **values = bytes.to_vec(),
+        Numbers::Counts(values) => **values = read_numbers(bytes / 4, from).map_err(broken)?,
+        Numbers::Bytes(values) => **values = read_numbers(bytes, from).map_err(broken)?,
     }
     Ok(())
 }
 
-/// An untrained model of the size that `saved` tells, to be filled.
-fn untrained(saved: &SavedBrick, file_bytes: usize) -> std::result::Result<Brick, String> {
+/// A model of the layout that `saved` tells, to be filled.
+fn unfilled(saved: &SavedBrick, file_bytes: usize) -> std::result::Result<Brick, String> {
     bounds::of_brick(saved, file_bytes)?;
-    Ok(Brick::new(saved.layout.clone(), 0, |_| 0))
+    Ok(Brick::empty(saved.layout.clone()))
 }
 
 /// A model whose arrays were filled, made ready.

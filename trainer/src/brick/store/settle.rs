@@ -27,14 +27,11 @@ pub(super) fn settle(model: &mut Brick, content: Content) -> Result<(), String> 
             return Err(format!("`{name}` has {} numbers, expected {n}", table.values.len()));
         }
         if fresh {
-            table.first = vec![0.0; n];
-            table.second = vec![0.0; n];
+            (table.first, table.second) = (Vec::new(), Vec::new());
             // An avatar is read whatever blocks it was fitted with.
             table.steps.resize(blocks, 1);
-        }
-        let lengths = [table.values.len(), table.first.len(), table.second.len()];
-        if lengths != [n; 3] {
-            return Err(format!("`{name}` has {} numbers, expected {n}", table.values.len()));
+        } else if [table.first.len(), table.second.len()] != [n; 2] {
+            return Err(format!("the moments of `{name}` have not {n} numbers"));
         }
         if table.steps.len() != blocks {
             return Err(format!(
@@ -82,7 +79,11 @@ pub(super) fn settle(model: &mut Brick, content: Content) -> Result<(), String> 
         table(&format!("latent{j}"), basis, model.latent_lattice.slots)?;
     }
     table("codes", &mut model.codes, model.layout.images)?;
-    if !fresh {
+    if fresh {
+        for table in [&mut model.alphas, &mut model.log_betas, &mut model.motions] {
+            *table = Table::new(model.layout.images, table.block, || 0.0);
+        }
+    } else {
         table("alphas", &mut model.alphas, model.layout.images)?;
         table("log_betas", &mut model.log_betas, model.layout.images)?;
         table("motions", &mut model.motions, model.layout.images)?;

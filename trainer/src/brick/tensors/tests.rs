@@ -201,6 +201,24 @@ fn a_checkpoint_is_a_record() {
     checkpoint::read(dir.path(), &saved, &["pending"]).unwrap();
 }
 
+/// An avatar's file gives back what rays depend on. A fit's moments would take three times the memory.
+#[test]
+fn an_avatar_comes_back_without_moments() {
+    use crate::brick::store::{SavedBrick, avatar};
+
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("model.safetensors");
+    let mut model = lively(true);
+    avatar::write(&path, &mut model, None).unwrap();
+    let (read, plate) = avatar::read(&path, &SavedBrick::of(&model, None, false)).unwrap();
+    assert!(plate.is_none());
+    assert_eq!(flat(&read), flat(&model));
+    assert_eq!(read.codes.values, model.codes.values);
+    assert_eq!(read.head.occupancy.bits, model.head.occupancy.bits);
+    assert!(read.shown_by().iter().all(|t| t.first.is_empty() && t.second.is_empty()));
+    assert_eq!(read.motions.values.len(), model.motions.values.len(), "images have a camera each, which did not move");
+}
+
 /// What a bad disk makes of a checkpoint is refused, or reads as numbers; nothing panics.
 #[test]
 fn a_damaged_checkpoint_is_refused() {
