@@ -19,7 +19,7 @@ const REQUESTS: u32 = 1000;
 /// Requests before memory is looked at for the first time: buffers are as large as they get.
 const WARM: u32 = 500;
 /// What resident memory may grow by. The allocator keeps what a picture took for a while, and gives it back when it sees
-/// fit: by 20 to 50 MiB. What the viewer itself holds is counted to the byte in the stress suite.
+/// fit: by 20 to 50 MiB. What the viewer itself holds, `viewer_memory.rs` counts.
 const GROWTH_KIB: u64 = 64 << 10;
 /// Requests a second of a long round, about what somebody who plays with the sliders asks for.
 const PER_SEC: f64 = 2.0;
