@@ -66,6 +66,18 @@ fn key() -> u64 {
     hasher.finish()
 }
 
+/// A capture of so many small frames, and a take of it with its track and poses.
+///
+/// # Panics
+/// When they cannot be made.
+pub fn posed_take(capture: &Path, take: &Path, frames: usize) {
+    let frames = frames.to_string();
+    succeed("synth", &["--out", text(capture), "--frames", &frames, "--fps", "30", "--size", "64x96", "-q"]);
+    succeed("capture", &["record", "--input", text(&capture.join("video.mp4")), "--out", text(take), "-q"]);
+    succeed("tracker", &["import", text(take), "--openface", text(&capture.join("openface.csv")), "-q"]);
+    succeed("tracker", &["poses", text(take), "--colmap-model", text(&capture.join("truth_colmap")), "-q"]);
+}
+
 /// A small capture with a take, a dataset and an avatar of each field: `capture`, `take`, `data`, `brick`, `confies`.
 ///
 /// # Panics
@@ -76,10 +88,7 @@ pub fn tiny() -> PathBuf {
     shared_fixture("tiny", |dir| {
         let at = |name: &str| dir.join(name);
         let (capture, take, data) = (at("capture"), at("take"), at("data"));
-        succeed("synth", &["--out", text(&capture), "--frames", "24", "--fps", "30", "--size", "64x96", "-q"]);
-        succeed("capture", &["record", "--input", text(&capture.join("video.mp4")), "--out", text(&take), "-q"]);
-        succeed("tracker", &["import", text(&take), "--openface", text(&capture.join("openface.csv")), "-q"]);
-        succeed("tracker", &["poses", text(&take), "--colmap-model", text(&capture.join("truth_colmap")), "-q"]);
+        posed_take(&capture, &take, 24);
         let build = ["build", text(&take), "--balance", "--frames", "12", "--scale", "2", "--scales", "2", "-q"];
         succeed("dataset", &[&build[..], &["--out", text(&data)]].concat());
         for (field, more) in [("brick", &["--steps", "20"][..]), ("confies", &["--preset", "tiny", "--steps", "2"])] {

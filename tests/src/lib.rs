@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-pub use fixture::{linked_copy, shared_fixture, tiny};
+pub use fixture::{linked_copy, posed_take, shared_fixture, tiny};
 pub use viewer::{Answer, Viewer, Visitor};
 
 /// The built binary `name`; tests of the whole chain run what users run.

@@ -5,7 +5,7 @@
 use std::fs;
 use std::path::Path;
 
-use risorius_tests::{run, succeed, text};
+use risorius_tests::{posed_take, run, succeed, text};
 use serde_json::Value;
 
 fn json(output: &str) -> Value {
@@ -16,10 +16,7 @@ fn json(output: &str) -> Value {
 fn dataset(dir: &Path) -> std::path::PathBuf {
     let at = |name: &str| dir.join(name);
     let (capture, take, dataset) = (at("capture"), at("take"), at("dataset"));
-    succeed("synth", &["--out", text(&capture), "--frames", "40", "--fps", "30", "--size", "64x96", "-q"]);
-    succeed("capture", &["record", "--input", text(&capture.join("video.mp4")), "--out", text(&take), "-q"]);
-    succeed("tracker", &["import", text(&take), "--openface", text(&capture.join("openface.csv")), "-q"]);
-    succeed("tracker", &["poses", text(&take), "--colmap-model", text(&capture.join("truth_colmap")), "-q"]);
+    posed_take(&capture, &take, 40);
     let build = ["build", text(&take), "--balance", "--frames", "24", "--scale", "2", "--out", text(&dataset), "-q"];
     succeed("dataset", &build);
     dataset
