@@ -4,7 +4,9 @@ mod choose;
 mod face;
 mod fuse;
 mod motion;
+mod rigid;
 mod stereo;
+mod sway;
 mod sweep;
 mod view;
 
@@ -79,13 +81,9 @@ const OPACITY: f32 = 0.7;
 
 /// What a fit of `scene` begins with; `say` is told what takes long. The result is the same for any number of threads.
 pub fn start(scene: &Scene<'_>, settings: &StartSettings, say: &dyn Fn(&str)) -> Start {
-    let head_poses: Vec<Isometry> = scene.frames.iter().map(|f| f.room_from_head).collect();
     say("motion of the landmarks");
-    let tracks = motion::tracks(scene);
-    let poses: Vec<Isometry> =
-        tracks.iter().map(|t| scene.frames[t.frame].camera.camera_from_world.compose(&head_poses[t.frame])).collect();
     let radius = f64::from(scene.face_radius_m).max(0.01);
-    let motion = motion::solve(&tracks, &poses, radius).map(|s| s.motion);
+    let (motion, head_poses) = sway::solve(scene, &motion::tracks(scene), radius);
     let axes = Axes::new(scene, motion.as_ref().map(|m| &m.rest));
     say("depth of the views");
     let mut seeds = from_stereo(scene, &head_poses, &axes, &settings.stereo);
