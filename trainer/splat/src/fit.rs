@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::model::Gaussians;
 use crate::scene::Scene;
+use crate::skips::Skips;
 
 /// What decides a fit, besides the data.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -14,11 +15,13 @@ pub struct Settings {
     pub seed: u64,
     /// Gaussians that the fit grows to.
     pub gaussians: usize,
+    /// What is left out.
+    pub skips: Skips,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { seed: 0, gaussians: 80_000 }
+        Self { seed: 0, gaussians: 80_000, skips: Skips::default() }
     }
 }
 

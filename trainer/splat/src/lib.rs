@@ -13,8 +13,10 @@ pub mod init;
 pub mod model;
 pub mod render;
 pub mod scene;
+pub mod skips;
 
 pub use fit::{Fitter, Settings, StepNumbers};
 pub use model::{Gaussians, Layout};
 pub use render::{Outputs, Picture, Renderer};
 pub use scene::{Frame, Plate, Scene};
+pub use skips::Skips;

@@ -3,6 +3,7 @@
 use risorius_formats::{Camera, Isometry};
 
 use crate::model::Gaussians;
+use crate::skips::Skips;
 
 /// What a picture holds besides its colours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -37,13 +38,14 @@ pub struct Picture {
 /// Draws picture after picture, each anew only where it differs from the one before.
 #[derive(Debug, Default)]
 pub struct Renderer {
+    skips: Skips,
     picture: Picture,
 }
 
 impl Renderer {
     /// A renderer that holds nothing yet.
-    pub fn new() -> Self {
-        Self::default()
+    pub fn new(skips: Skips) -> Self {
+        Self { skips, picture: Picture::default() }
     }
 
     /// The picture that `camera` takes of `model`; `activations` are those of the AUs, then (if there are as many as
@@ -57,7 +59,7 @@ impl Renderer {
         backdrop: Option<&[u8]>,
         outputs: Outputs,
     ) -> &Picture {
-        let _ = (model, room_from_head, activations, backdrop, outputs);
+        let _ = (self.skips, model, room_from_head, activations, backdrop, outputs);
         let (width, height) = (camera.intrinsics.width as usize, camera.intrinsics.height as usize);
         self.picture = Picture { width, height, rgb: vec![128; width * height * 3], ..Picture::default() };
         &self.picture
