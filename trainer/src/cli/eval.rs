@@ -6,21 +6,21 @@ use std::path::{Path, PathBuf};
 use risorius_console::{AgainArgs, Console, Failure, Inputs, Stage};
 use risorius_formats::pose_report::write_json;
 use risorius_formats::views::{View, ViewCamera, ViewList};
-use risorius_formats::{ActionUnit, Warning};
+use risorius_formats::{ActionUnit, Attribute, AttributeTable, Warning};
 use serde::Serialize;
 use serde_json::json;
 
 use super::{DeviceArgs, SkipArgs, need, run_inputs};
 use crate::avatar::Avatar;
-use crate::data::read_rgb;
+use crate::data::{intensities_of, read_rgb};
 use crate::error::TrainerError;
 use crate::eval::control::{Control, Decoupling};
 use crate::eval::report::{self, Report};
 use crate::eval::{Evaluation, Lpips, LpipsNetwork, lpips};
+use crate::field::Look;
 use crate::jobs::control::{ControlSettings, control, control_csv, decoupling, default_tracker, write_text};
 use crate::jobs::evaluate::{Judged, evaluate};
 use crate::jobs::interpolate;
-use crate::studio::Look;
 
 /// Options of `trainer eval`.
 #[derive(Debug, clap::Args)]
@@ -35,14 +35,11 @@ pub(super) struct EvalArgs {
     views: Option<PathBuf>,
     /// Render validation frames with the codes between their neighbours', and the attributes these codes give, instead
     /// of the annotated AUs: the paper's interpolation test, of `--field confies` only
-    #[arg(long, conflicts_with_all = ["views", "no_views", "baked"])]
+    #[arg(long, conflicts_with_all = ["views", "no_views"])]
     interpolate: bool,
     /// Score pictures that `trainer render` made before, instead of rendering
     #[arg(long, value_name = "DIR", requires = "views")]
     renders: Option<PathBuf>,
-    /// Judge the baked avatar (see `trainer render --baked`)
-    #[arg(long)]
-    baked: bool,
     /// LPIPS networks: alex, vgg or none; may be repeated [default: those that are fetched]
     #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = ["alex", "vgg", "none"])]
     lpips: Vec<String>,
@@ -107,7 +104,6 @@ pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let models = args.models.clone().unwrap_or_else(lpips::default_dir);
     let there = [LpipsNetwork::Alex, LpipsNetwork::Vgg].map(|n| Lpips::is_in(&models, n));
     let asked = json!({
-        "baked": args.baked,
         "lpips": args.lpips,
         "networks": there,
         "control": args.control,
@@ -138,7 +134,7 @@ pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
             Some(evaluate(views, list, Judged::Between(avatar, &places, &renders), &mut networks, console)?)
         }
         (Some((views, list)), Some(avatar)) if args.renders.is_none() => {
-            let look = Look { skips: args.skips.skips()?, baked: args.baked, ..Look::default() };
+            let look = Look { skips: args.skips.skips()?, ..Look::default() };
             Some(evaluate(views, list, Judged::Avatar(avatar, look, &renders), &mut networks, console)?)
         }
         (Some((views, list)), _) => Some(evaluate(views, list, Judged::Folder(&renders), &mut networks, console)?),
@@ -269,7 +265,8 @@ fn human(document: &Document) -> String {
     text
 }
 
-/// The dataset's held-out frames as a view list: their cameras, their annotated AUs, their images.
+/// The dataset's held-out frames as a view list: their cameras, their images, and their AUs: the intensities that frames
+/// for fitting are fitted with, and where the dataset does not tell them, those of the annotated attributes.
 fn validation_views(run: &Path) -> Result<(ViewList, PathBuf), TrainerError> {
     use risorius_formats::nerfies::{Dataset, rgb_path};
     let manifest = risorius_formats::run::RunManifest::read(run.join("run.json"))?;
@@ -278,16 +275,15 @@ fn validation_views(run: &Path) -> Result<(ViewList, PathBuf), TrainerError> {
     let scale = saved.image_scale;
     let table = &saved.table;
     let mut views = Vec::new();
+    let intensities = risorius_formats::intensities::Intensities::read(&manifest.dataset)?;
     let (_, held_out) = crate::data::split(&dataset, interpolate::interval_of(run));
     for id in &held_out {
         let Some(camera) = dataset.cameras.get(id) else { continue };
-        let number = id.parse::<u32>().ok();
-        let aus = dataset
-            .annotations
-            .iter()
-            .filter(|a| Some(a.frame) == number && a.class < table.attributes.len())
-            .map(|a| (table.attributes[a.class].unit, table.attributes[a.class].intensity_from_attribute(a.value)))
-            .collect();
+        let fitted = intensities.as_ref().and_then(|i| intensities_of(i, table, id));
+        let aus = fitted.map_or_else(
+            || annotated(&dataset, table, id),
+            |row| table.attributes.iter().zip(row).filter(|(a, _)| a.active).map(|(a, v)| (a.unit, v.0)).collect(),
+        );
         views.push(View {
             id: id.clone(),
             image: Some(rgb_path("", scale, id)),
@@ -306,4 +302,20 @@ fn validation_views(run: &Path) -> Result<(ViewList, PathBuf), TrainerError> {
     }
     // Images are relative to the list's file; the list stands for a file in the dataset's folder.
     Ok((ViewList { views }, manifest.dataset.join("dataset.json")))
+}
+
+/// The intensities of a frame's annotated attributes.
+fn annotated(
+    dataset: &risorius_formats::nerfies::Dataset,
+    table: &AttributeTable,
+    id: &str,
+) -> std::collections::BTreeMap<ActionUnit, f32> {
+    let number = id.parse::<u32>().ok();
+    let of_frame = dataset.annotations.iter().filter(|a| Some(a.frame) == number);
+    of_frame
+        .filter_map(|a| {
+            let spec = table.attributes.get(a.class)?;
+            Some((spec.unit, spec.scale().intensity(Attribute(a.value)).0))
+        })
+        .collect()
 }
