@@ -7,6 +7,7 @@ use std::sync::OnceLock;
 use image::RgbImage;
 use rayon::prelude::*;
 use risorius_formats::intensities::Intensities;
+use risorius_formats::landmark_table::LandmarkTable;
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{self, Dataset, Extras};
 use risorius_formats::{Attribute, AttributeTable, AuScale, Camera, Intensity, Reporter, hash, package};
@@ -107,6 +108,7 @@ impl TrainData {
         }
         let scale = if scale > 0 { scale } else { dataset.extras.as_ref().map_or(4, |e| e.default_scale) };
         let intensities = Intensities::read(dir)?;
+        let landmarks = LandmarkTable::read(dir)?;
         reporter.stage("load", Some(dataset.train_ids.len() as u64));
         let frames = dataset
             .train_ids
@@ -114,12 +116,20 @@ impl TrainData {
             .map(|id| {
                 let mut frame = load_frame(dir, &dataset, &table, id, scale)?;
                 frame.intensities = intensities.as_ref().and_then(|i| intensities_of(i, &table, id));
+                frame.landmarks_px = landmarks.as_ref().and_then(|l| landmarks_at(l, id, scale));
                 reporter.advance(1);
                 Ok(frame)
             })
             .collect::<Result<Vec<_>>>()?;
-        let manifests =
-            ["dataset.json", "metadata.json", "scene.json", "attributes.toml", "annotations.yml", "intensities.csv"];
+        let manifests = [
+            "dataset.json",
+            "metadata.json",
+            "scene.json",
+            "attributes.toml",
+            "annotations.yml",
+            "intensities.csv",
+            "landmarks.csv",
+        ];
         let hashes: Vec<String> =
             manifests.iter().filter_map(|name| hash::sha256_of_file(dir.join(name)).ok()).collect();
         Ok(Self {
@@ -259,6 +269,12 @@ pub fn intensities_of(intensities: &Intensities, table: &AttributeTable, id: &st
         }
     };
     table.attributes.iter().map(|spec| of(spec.scale(), spec.unit)).collect()
+}
+
+/// The landmarks of a frame in pixels of its image at `scale`.
+fn landmarks_at(landmarks: &LandmarkTable, id: &str, scale: u32) -> Option<[[f32; 2]; 68]> {
+    let points = &landmarks.rows.get(id)?.points_px;
+    Some(points.map(|p| p.map(|v| v / scale as f32)))
 }
 
 /// Annotations are sorted by frame by the reader of the folder.

@@ -261,3 +261,19 @@ impl ModuleMapper for Filler<'_> {
         param.map(|_| Tensor::from_data(TensorData::new(values, shape), &device))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use risorius_formats::Hint as _;
+
+    use super::*;
+
+    #[test]
+    fn an_avatar_of_the_field_that_is_gone_says_so() {
+        let run = tempfile::tempdir().unwrap();
+        std::fs::write(run.path().join("model.json"), r#"{"version":2,"field":"brick","layout":{}}"#).unwrap();
+        let error = SavedModel::read(run.path()).unwrap_err();
+        assert!(error.to_string().ends_with("was made by the brick field of an earlier version"), "{error}");
+        assert_eq!(error.hint().as_deref(), Some("fit the dataset again"));
+    }
+}

@@ -46,6 +46,7 @@ fn datasets_with_a_mutated_file() {
         "mapping.yml",
         "attributes.toml",
         "intensities.csv",
+        "landmarks.csv",
         "takes.toml",
     ];
     let (mut taken, mut refused) = (0, 0);

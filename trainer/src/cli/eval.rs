@@ -1,9 +1,12 @@
 //! `trainer eval`.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use risorius_console::{AgainArgs, Console, Failure, Inputs, Stage};
+use risorius_formats::intensities::Intensities;
+use risorius_formats::nerfies::{Dataset, rgb_path};
 use risorius_formats::pose_report::write_json;
 use risorius_formats::views::{View, ViewCamera, ViewList};
 use risorius_formats::{ActionUnit, Attribute, AttributeTable, Warning};
@@ -129,7 +132,7 @@ pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let evaluation = match (&views, &avatar) {
         (None, _) => None,
         (Some((views, list)), Some(avatar)) if args.interpolate => {
-            let dataset = risorius_formats::nerfies::Dataset::read(list.parent().unwrap_or(Path::new(".")))?;
+            let dataset = Dataset::read(list.parent().unwrap_or(Path::new(".")))?;
             let places = interpolate::places(avatar, &args.run, &dataset)?;
             Some(evaluate(views, list, Judged::Between(avatar, &places, &renders), &mut networks, console)?)
         }
@@ -268,22 +271,17 @@ fn human(document: &Document) -> String {
 /// The dataset's held-out frames as a view list: their cameras, their images, and their AUs: the intensities that frames
 /// for fitting are fitted with, and where the dataset does not tell them, those of the annotated attributes.
 fn validation_views(run: &Path) -> Result<(ViewList, PathBuf), TrainerError> {
-    use risorius_formats::nerfies::{Dataset, rgb_path};
     let manifest = risorius_formats::run::RunManifest::read(run.join("run.json"))?;
     let saved = crate::saved::SavedModel::read(run)?;
     let dataset = Dataset::read(&manifest.dataset)?;
     let scale = saved.image_scale;
     let table = &saved.table;
     let mut views = Vec::new();
-    let intensities = risorius_formats::intensities::Intensities::read(&manifest.dataset)?;
+    let intensities = Intensities::read(&manifest.dataset)?;
     let (_, held_out) = crate::data::split(&dataset, interpolate::interval_of(run));
     for id in &held_out {
         let Some(camera) = dataset.cameras.get(id) else { continue };
-        let fitted = intensities.as_ref().and_then(|i| intensities_of(i, table, id));
-        let aus = fitted.map_or_else(
-            || annotated(&dataset, table, id),
-            |row| table.attributes.iter().zip(row).filter(|(a, _)| a.active).map(|(a, v)| (a.unit, v.0)).collect(),
-        );
+        let aus = aus_of(&dataset, intensities.as_ref(), table, id);
         views.push(View {
             id: id.clone(),
             image: Some(rgb_path("", scale, id)),
@@ -304,12 +302,17 @@ fn validation_views(run: &Path) -> Result<(ViewList, PathBuf), TrainerError> {
     Ok((ViewList { views }, manifest.dataset.join("dataset.json")))
 }
 
-/// The intensities of a frame's annotated attributes.
-fn annotated(
-    dataset: &risorius_formats::nerfies::Dataset,
+/// The intensities of a frame as they would be fitted, else those of its annotated attributes.
+fn aus_of(
+    dataset: &Dataset,
+    intensities: Option<&Intensities>,
     table: &AttributeTable,
     id: &str,
-) -> std::collections::BTreeMap<ActionUnit, f32> {
+) -> BTreeMap<ActionUnit, f32> {
+    let known = intensities.and_then(|i| intensities_of(i, table, id));
+    if let Some(row) = known {
+        return table.attributes.iter().zip(row).filter(|(a, _)| a.active).map(|(a, v)| (a.unit, v.0)).collect();
+    }
     let number = id.parse::<u32>().ok();
     let of_frame = dataset.annotations.iter().filter(|a| Some(a.frame) == number);
     of_frame
@@ -318,4 +321,35 @@ fn annotated(
             Some((spec.unit, spec.scale().intensity(Attribute(a.value)).0))
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use risorius_formats::nerfies::Annotation;
+    use risorius_formats::{AttributeSpec, Intensity, SceneBounds};
+
+    use super::*;
+
+    #[test]
+    fn a_strong_expression_is_judged_as_it_was_fitted() {
+        let unit = ActionUnit(12);
+        let spec = AttributeSpec::from_range(unit, 0, 0.0, 5.0, 0.0);
+        let value = spec.scale().attribute(Intensity(4.5)).0;
+        let dataset = Dataset {
+            ids: vec!["000007".to_owned()],
+            train_ids: Vec::new(),
+            val_ids: Vec::new(),
+            metadata: BTreeMap::new(),
+            scene: SceneBounds { center_in_world: glam::DVec3::ZERO, scale: 1.0, near: 1.0, far: 2.0 },
+            cameras: BTreeMap::new(),
+            mapping: Vec::new(),
+            annotations: vec![Annotation { class: 0, frame: 7, value }],
+            extras: None,
+        };
+        let table = AttributeTable { regions: vec!["mouth".to_owned()], attributes: vec![spec] };
+        let intensities = Intensities { units: vec![unit], rows: [("000007".to_owned(), vec![4.5])].into() };
+        assert_eq!(aus_of(&dataset, Some(&intensities), &table, "000007"), [(unit, 4.5)].into());
+        // Attributes alone end at 80 % of the strongest.
+        assert_eq!(aus_of(&dataset, None, &table, "000007"), [(unit, 4.0)].into());
+    }
 }

@@ -261,3 +261,7 @@ pub(super) fn read_floats(path: &Path) -> Result<BTreeMap<String, Vec<f32>>> {
     };
     tensors.tensors().into_iter().map(read).collect::<Problem<_>>().map_err(|problem| damaged(path, &problem))
 }
+
+#[cfg(test)]
+#[path = "store_tests.rs"]
+mod tests;
