@@ -92,6 +92,38 @@ impl Gaussians {
         (0..self.groups()).map(|g| self.base[at(g)..at(g) + LANES].iter().filter(|&&o| o > EMPTY * 0.5).count()).sum()
     }
 
+    /// Puts an avatar together from its arrays; says which has another length than the layout asks for.
+    pub fn from_arrays(
+        layout: Layout,
+        base: Vec<f32>,
+        deltas: Vec<f32>,
+        gates: Vec<f32>,
+        membership: Vec<f32>,
+        head_weight: Vec<f32>,
+    ) -> Result<Self, String> {
+        let whole = |name: &str, len: usize, row: usize| {
+            if row == 0 || !len.is_multiple_of(row) {
+                return Err(format!("`{name}` holds {len} numbers, expected a multiple of {row}"));
+            }
+            Ok(len / row)
+        };
+        if layout.regions > REGIONS || layout.region_of.iter().any(|&r| r >= layout.regions) {
+            return Err(format!("names regions beyond {}", layout.regions.min(REGIONS)));
+        }
+        let groups = whole("base", base.len(), channel::COUNT * LANES)?;
+        let deformable = whole("gates", gates.len(), REGIONS * LANES)?;
+        let lengths = [
+            ("deltas", deltas.len(), deformable * layout.bases() * DELTAS * LANES),
+            ("membership", membership.len(), groups * REGIONS * LANES),
+            ("head_weight", head_weight.len(), groups * LANES),
+            ("gates", deformable, deformable.min(groups)),
+        ];
+        if let Some((name, len, expected)) = lengths.iter().find(|(_, len, expected)| len != expected) {
+            return Err(format!("`{name}` holds {len} numbers, expected {expected}"));
+        }
+        Ok(Self { layout, deformable, base, deltas, gates, membership, head_weight })
+    }
+
     /// Bytes of the arrays.
     pub fn bytes(&self) -> usize {
         4 * (self.base.len() + self.deltas.len() + self.gates.len() + self.membership.len() + self.head_weight.len())
