@@ -64,7 +64,33 @@ pub(crate) fn of_model(saved: &SavedModel) -> Checked {
 
 /// The settings of a fit of the Gaussian field: from the command line, or from the file of a run that is resumed.
 pub(crate) fn of_settings(settings: &SplatSettings) -> Checked {
-    within("splat.gaussians", settings.splat.gaussians, 1..=MOST_GAUSSIANS)?;
+    let s = &settings.splat;
+    within("splat.gaussians", s.gaussians, 1..=MOST_GAUSSIANS)?;
+    within("splat.densifications", s.densifications as usize, 0..=1000)?;
+    for (name, mm) in ["splat.voxel_mm: head", "splat.voxel_mm: background"].into_iter().zip(s.voxel_mm) {
+        if !(0.1..=1000.0).contains(&mm) {
+            return Err(format!("`{name}` is {mm}, expected 0.1 to 1000"));
+        }
+    }
+    let [first, last] = s.densify_between;
+    let shares = [
+        ("coarse_share", s.coarse_share),
+        ("mean_final", s.mean_final),
+        ("final_rate", s.final_rate),
+        ("densify_between", first),
+        ("densify_between", last),
+        ("prune_opacity", s.prune_opacity),
+        ("code_share", s.code_share),
+    ];
+    if let Some((name, share)) = shares.into_iter().find(|(_, share)| !(0.0..=1.0).contains(share)) {
+        return Err(format!("`splat.{name}` is {share}, expected 0 to 1"));
+    }
+    let rates = [s.mean_px, s.depth_factor, s.delta_factor, s.log_scale_rate, s.quaternion_rate, s.opacity_rate];
+    let more = [s.color_rate, s.sh_rate, s.latent_weight, s.code_rate, s.image_rate, s.mask_rate];
+    let all = rates.into_iter().chain(more).chain(s.attribute_weight).chain(s.pose_rate);
+    if let Some(bad) = all.into_iter().find(|v| !(0.0..=1e6).contains(v)) {
+        return Err(format!("a rate or weight is {bad}, expected a number from 0"));
+    }
     if !(settings.budget_secs.is_finite() && settings.budget_secs > 0.0) {
         return Err(format!("`budget_secs` is {}, expected a time", settings.budget_secs));
     }
@@ -74,7 +100,8 @@ pub(crate) fn of_settings(settings: &SplatSettings) -> Checked {
 /// How far a fit that is resumed says it is.
 pub(crate) fn of_progress(progress: &Progress) -> Checked {
     // A step that wraps around would start over.
-    within("progress.step", progress.step as usize, 0..=1 << 48)
+    within("progress.step", progress.step as usize, 0..=1 << 48)?;
+    within("progress.basis_steps", progress.basis_steps.len(), 0..=256 + LATENT)
 }
 
 /// Sizes of the Gaussian field, whose arrays take `bytes`.

@@ -48,7 +48,11 @@ fn products_in_bf16_learn_what_those_in_f32_learn() {
     half.model.products = Products::Bf16;
     let expected = fitted(&plain, &dir.path().join("f32"), &Device::flex());
     let found = fitted(&half, &dir.path().join("bf16"), &Device::flex());
-    assert_ne!(found[0].numbers.reconstruction.to_bits(), expected[0].numbers.reconstruction.to_bits(), "nothing was rounded");
+    assert_ne!(
+        found[0].numbers.reconstruction.to_bits(),
+        expected[0].numbers.reconstruction.to_bits(),
+        "nothing was rounded"
+    );
     assert_alike(&found, &expected, 0.01, 0.1);
 }
 
