@@ -89,11 +89,24 @@ pub(super) const OUTPUTS: [&str; 2] = ["model.safetensors", "model.json"];
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct FitFile {
+    pub(super) field: Option<String>,
     pub(super) preset: Option<String>,
     pub(super) steps: Option<u64>,
+    /// As on the command line, such as `10m`.
+    pub(super) budget: Option<String>,
     pub(super) seed: Option<u64>,
     pub(super) rays: Option<usize>,
     pub(super) image_scale: Option<u32>,
+}
+
+impl FitFile {
+    /// Wall seconds, where steps are not asked for.
+    pub(super) fn budget_secs(&self) -> Result<Option<f64>, Failure> {
+        let parse = |text: &String| {
+            parse_duration(text).map_err(|e| Failure::usage(format!("risorius.toml, trainer.fit.budget: {e}")))
+        };
+        self.budget.as_ref().filter(|_| self.steps.is_none()).map(parse).transpose()
+    }
 }
 
 /// `[trainer]` of `risorius.toml`.
@@ -139,7 +152,8 @@ fn confies() -> String {
 /// The field of the run to resume, else what was asked for.
 fn resolve_field(args: &FitArgs) -> Result<String, Failure> {
     if !args.resume {
-        return Ok(args.field.clone().unwrap_or_else(|| "splat".to_owned()));
+        let file: TrainerFile = risorius_console::settings("trainer")?;
+        return Ok(args.field.clone().or(file.fit.field).unwrap_or_else(|| "splat".to_owned()));
     }
     let Begun { field } = read_settings(&args.out)?;
     check_field(&field, &args.out)?;
@@ -233,7 +247,9 @@ fn run_confies(args: &FitArgs, console: &Console) -> Result<(), Failure> {
         console.finish(&plan, &plan.words());
         return Ok(());
     }
-    let limits = Limits { budget_secs: args.budget };
+    let file: TrainerFile = risorius_console::settings("trainer")?;
+    let by_file = if args.steps.is_none() { file.fit.budget_secs()? } else { None };
+    let limits = Limits { budget_secs: args.budget.or(by_file) };
     let Some((running, resume)) = work else { return Err(Failure::bug("a fit without a lock")) };
     running.mark()?;
     let summary = fit::confies::fit(&data, &settings, limits, &args.out, resume, &device, console)?;

@@ -77,6 +77,7 @@ fn resolve(args: &FitArgs, resume: bool) -> Result<SplatSettings, Failure> {
     if !resume {
         let file: TrainerFile = risorius_console::settings("trainer")?;
         settings.steps = file.fit.steps;
+        settings.budget_secs = file.fit.budget_secs()?.unwrap_or(settings.budget_secs);
         settings.splat.seed = file.fit.seed.unwrap_or(settings.splat.seed);
         settings.image_scale = file.fit.image_scale.unwrap_or(settings.image_scale);
     }

@@ -25,7 +25,7 @@ enum Command {
     /// Fit every model of the paper's Table 2 alike and score it on held-out frames, with codes between neighbours
     Table2(table2::Args),
     /// Compare the paper's networks with the Gaussian field at equal time and at equal error
-    AgainstBrick(against::Args),
+    AgainstSplat(against::Args),
 }
 
 impl Common for Cli {
@@ -38,7 +38,7 @@ impl Common for Cli {
 pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     match &cli.command {
         Command::Table2(args) => table2::run(args, console),
-        Command::AgainstBrick(args) => against::run(args, console),
+        Command::AgainstSplat(args) => against::run(args, console),
     }
 }
 
