@@ -1,6 +1,6 @@
 //! Which of the usable frames make the dataset, and which of those are held out.
 
-use risorius_formats::{Reporter, Warning};
+use risorius_formats::{Intensity, Reporter, Warning};
 
 use crate::balance;
 use crate::entropy::{self, Seen};
@@ -102,7 +102,7 @@ pub(crate) fn facts(rows: &Rows, usable: &[UsableRow<'_>]) -> Vec<Facts> {
     let combination = |u: &UsableRow<'_>| {
         let raised = attributes.iter().zip(u.intensities).take(64).enumerate();
         raised
-            .filter(|(_, (a, v))| a.active && a.attribute_from_intensity(**v) >= split::RAISED)
+            .filter(|(_, (a, v))| a.active && a.scale().attribute(Intensity(**v)) >= split::RAISED)
             .fold(0, |bits, (k, _)| bits | 1u64 << k)
     };
     let fact = |u: &UsableRow<'_>| Facts {

@@ -3,10 +3,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use risorius_formats::AttributeTable;
-use risorius_formats::Similarity;
 use risorius_formats::nerfies::{Annotation, Dataset, Extras, FrameMetadata};
 use risorius_formats::pose_report::PoseMethod;
+use risorius_formats::{AttributeTable, Intensity, Similarity};
 
 use crate::TAKE_OFFSET;
 use crate::align::TakeInput;
@@ -66,7 +65,7 @@ pub(crate) fn describe(
             dataset.annotations.push(Annotation {
                 class,
                 frame: number(candidate),
-                value: spec.attribute_from_intensity(intensity),
+                value: spec.scale().attribute(Intensity(intensity)).0,
             });
         }
     }
@@ -106,7 +105,7 @@ fn neutral_id(
             .iter()
             .zip(usable[c].intensities)
             .filter(|(a, _)| a.active)
-            .map(|(a, &v)| (0.5 * (a.attribute_from_intensity(v) - a.neutral_attribute())).powi(2))
+            .map(|(a, &v)| (0.5 * (a.scale().attribute(Intensity(v)).0 - a.neutral_attribute().0)).powi(2))
             .sum();
         (squares / active).sqrt() + ASYMMETRY_WEIGHT * sights[c].asymmetry
     };

@@ -1,6 +1,6 @@
 //! The capture's neutral face: what the AUs read when the face rests (trackers rarely read 0).
 
-use risorius_formats::AttributeSpec;
+use risorius_formats::{AttributeSpec, Intensity};
 
 /// The share of frames, the most neutral ones, that the neutral value is the median of.
 pub const NEUTRAL_SHARE: f64 = 0.1;
@@ -9,7 +9,8 @@ pub const NEUTRAL_SHARE: f64 = 0.1;
 /// normalised intensities. `intensities[f][a]` are smoothed; `specs` give each AU's range. Zeros without frames.
 pub fn neutral_intensities(intensities: &[Vec<f32>], specs: &[AttributeSpec]) -> Vec<f32> {
     let activity = |row: &Vec<f32>| -> f64 {
-        let normalised = |(spec, v): (&AttributeSpec, &f32)| f64::from(spec.attribute_from_intensity(*v)) * 0.5 + 0.5;
+        let normalised =
+            |(spec, v): (&AttributeSpec, &f32)| f64::from(spec.scale().attribute(Intensity(*v)).0) * 0.5 + 0.5;
         specs.iter().zip(row).filter(|(s, _)| s.active).map(normalised).sum()
     };
     let mut order: Vec<(f64, usize)> = intensities.iter().map(activity).zip(0..).collect();

@@ -6,6 +6,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use risorius_formats::Attribute;
 use serde::{Deserialize, Serialize};
 
 use crate::views;
@@ -84,7 +85,7 @@ pub struct Facts {
 }
 
 /// An AU counts as raised from this attribute up: the middle of its range.
-pub const RAISED: f32 = 0.0;
+pub const RAISED: Attribute = Attribute(0.0);
 /// Every so many chosen frames one is held out by [`SplitKind::Periodic`].
 pub const VAL_INTERVAL: usize = 20;
 /// Which of each [`VAL_INTERVAL`] frames it is: one in the middle, so that it has neighbours on both sides.

@@ -3,8 +3,8 @@
 
 use std::collections::BTreeMap;
 
-use risorius_formats::ActionUnit;
 use risorius_formats::pose_report::PoseMethod;
+use risorius_formats::{ActionUnit, Intensity};
 use serde::{Deserialize, Serialize};
 
 use crate::align::TakeInput;
@@ -220,7 +220,8 @@ fn together(rows: &Rows, usable: &[UsableRow<'_>], frames: &[usize]) -> Vec<Vec<
     let mut counts = vec![vec![0; specs.len()]; specs.len()];
     for &f in frames {
         let raised = |k: &usize| {
-            specs[*k].active && specs[*k].attribute_from_intensity(usable[f].intensities[*k]) >= crate::split::RAISED
+            let scale = specs[*k].scale();
+            scale.is_active() && scale.attribute(Intensity(usable[f].intensities[*k])) >= crate::split::RAISED
         };
         let up: Vec<usize> = (0..specs.len()).filter(raised).collect();
         for &a in &up {

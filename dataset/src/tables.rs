@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 use polars::prelude::{Column, DataFrame, NamedFrom, ParquetCompression, ParquetWriter, Series};
 use risorius_formats::intensities::Intensities;
-use risorius_formats::{AttributeTable, Camera, ErrorKind, FormatError, atomic};
+use risorius_formats::{AttributeTable, Camera, ErrorKind, FormatError, Intensity, atomic};
 
 use crate::error::{DatasetError, Result};
 use crate::provenance::Provenance;
@@ -98,7 +98,7 @@ fn aus_table(take: &TakeRows, table: &AttributeTable) -> Vec<Column> {
     ];
     for (k, spec) in table.attributes.iter().enumerate() {
         let intensities: Vec<f32> = trusted.iter().map(|t| t.1[k]).collect();
-        let attributes: Vec<f32> = intensities.iter().map(|&v| spec.attribute_from_intensity(v)).collect();
+        let attributes: Vec<f32> = intensities.iter().map(|&v| spec.scale().attribute(Intensity(v)).0).collect();
         columns.push(column(&format!("{}_intensity", spec.unit), intensities));
         columns.push(column(&format!("{}_attribute", spec.unit), attributes));
     }

@@ -15,7 +15,7 @@ use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{self, Dataset};
 use risorius_formats::pose_report::PoseMethod;
 use risorius_formats::report::Collected;
-use risorius_formats::{ActionUnit, AttributeTable, Hint, Isometry, RegionTable, Silent};
+use risorius_formats::{ActionUnit, AttributeTable, Hint, Intensity, Isometry, RegionTable, Silent};
 
 fn options() -> BuildOptions {
     BuildOptions { frames: 40, scale: 2, scales: vec![1, 2], ..BuildOptions::default() }
@@ -66,7 +66,7 @@ fn a_take_becomes_a_dataset_that_verifies() {
     for a in &dataset.annotations {
         let spec = &table.attributes[a.class];
         let k = risorius_formats::au::OPENFACE_INTENSITIES.iter().position(|u| *u == spec.unit).unwrap();
-        let expected = spec.attribute_from_intensity(common::intensity(a.frame, k));
+        let expected = spec.scale().attribute(Intensity(common::intensity(a.frame, k))).0;
         assert!((a.value - expected).abs() < 0.03, "{} in frame {}: {} and {expected}", spec.unit, a.frame, a.value);
     }
     assert_eq!(dataset.annotations.len(), 40 * 17);

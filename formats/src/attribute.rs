@@ -8,7 +8,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{ActionUnit, ErrorKind, FormatError, RegionTable, Result, atomic};
+use crate::{ActionUnit, Attribute, AuScale, ErrorKind, FormatError, Intensity, RegionTable, Result, atomic};
 
 /// The paper's factor on `au_max` (its α).
 pub const AU_MAX_SCALE: f32 = 0.8;
@@ -47,34 +47,14 @@ impl AttributeSpec {
         self.au_max_scale * self.au_max - self.au_min
     }
 
-    /// Eq. 1: intensity 0–5 to attribute −1..1. Inactive attributes and non-numbers give −1.
-    pub fn attribute_from_intensity(&self, intensity: f32) -> f32 {
-        if !self.active || !intensity.is_finite() {
-            return -1.0;
-        }
-        ((intensity - self.au_min) / self.width() * 2.0 - 1.0).clamp(-1.0, 1.0)
-    }
-
-    /// Eq. 1 without its cap: intensities between 80 % of `au_max` and `au_max` go on rising above 1 (to 1.5 for an AU that
-    /// starts at 0), so that the strongest expressions stay apart.
-    pub fn uncapped_attribute_from_intensity(&self, intensity: f32) -> f32 {
-        if !self.active || !intensity.is_finite() {
-            return -1.0;
-        }
-        ((intensity.min(self.au_max) - self.au_min) / self.width() * 2.0 - 1.0).max(-1.0)
-    }
-
-    /// The inverse of eq. 1 inside its range: attribute −1..1 to intensity. Inactive attributes give the neutral value.
-    pub fn intensity_from_attribute(&self, attribute: f32) -> f32 {
-        if !self.active {
-            return self.neutral;
-        }
-        self.au_min + (attribute.clamp(-1.0, 1.0) + 1.0) * 0.5 * self.width()
+    /// What converts between this AU's intensities, attributes and activations.
+    pub fn scale(&self) -> AuScale {
+        AuScale::new(self)
     }
 
     /// The attribute of the capture's neutral face.
-    pub fn neutral_attribute(&self) -> f32 {
-        self.attribute_from_intensity(self.neutral)
+    pub fn neutral_attribute(&self) -> Attribute {
+        self.scale().attribute(Intensity(self.neutral))
     }
 }
 
@@ -164,55 +144,5 @@ pub(crate) fn toml_error(error: &toml::de::Error, text: &str) -> FormatError {
     match line {
         Some(line) => result.at_line(line),
         None => result,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    fn spec(au_min: f32, au_max: f32) -> AttributeSpec {
-        AttributeSpec::from_range(ActionUnit(12), 2, au_min, au_max, au_min)
-    }
-
-    #[test]
-    fn eq_1_matches_the_check_values() {
-        for (au, lo, hi, expected) in
-            [(2.0, 0.0, 5.0, 0.0), (4.0, 0.0, 5.0, 1.0), (4.5, 0.0, 5.0, 1.0), (1.2, 0.3, 3.1, -0.174_311_93)]
-        {
-            let got = spec(lo, hi).attribute_from_intensity(au);
-            assert!((got - expected).abs() < 1e-6, "{au} in {lo}..{hi}: {got}");
-        }
-    }
-
-    #[test]
-    fn an_au_that_never_moves_is_inactive_and_minus_one() {
-        for (lo, hi) in [(0.0, 0.0), (2.0, 2.2), (0.0, 0.12)] {
-            let s = spec(lo, hi);
-            assert!(!s.active);
-            assert_eq!(s.attribute_from_intensity(3.0), -1.0);
-            assert_eq!(s.intensity_from_attribute(0.3), s.neutral);
-        }
-        assert_eq!(spec(0.0, 5.0).attribute_from_intensity(f32::NAN), -1.0);
-    }
-
-    #[test]
-    fn without_the_cap_strong_expressions_stay_apart() {
-        let s = spec(0.0, 5.0);
-        for (au, expected) in [(2.0, 0.0), (4.0, 1.0), (4.5, 1.25), (5.0, 1.5), (9.0, 1.5), (-1.0, -1.0)] {
-            assert!((s.uncapped_attribute_from_intensity(au) - expected).abs() < 1e-6, "{au}");
-        }
-        assert_eq!(s.uncapped_attribute_from_intensity(f32::NAN), -1.0);
-    }
-
-    proptest! {
-        #[test]
-        fn the_inverse_undoes_eq_1_inside_the_range(lo in 0f32..1.0, width in 0.2f32..4.0, t in 0f32..1.0) {
-            let hi = (lo + width) / AU_MAX_SCALE;
-            let s = spec(lo, hi);
-            let au = lo + t * width;
-            prop_assert!((s.intensity_from_attribute(s.attribute_from_intensity(au)) - au).abs() < 1e-4);
-        }
     }
 }

@@ -16,7 +16,8 @@
 //! * **Pixels**: the centre of the first pixel is (0.5, 0.5), everywhere but inside an OpenFace table, where it is
 //!   (0, 0); the codec converts.
 //! * **Frames** count from 0 (`FrameIndex`), OpenFace's `frame` column from 1; the codec converts.
-//! * **AU intensities** are 0–5, **attributes** −1..1 (eq. 1 of the CoNFies paper). Missing is `None`, never 0.
+//! * **AU intensities** are 0–5, **attributes** −1..1 (eq. 1 of the CoNFies paper), **activations** 0 to about 1.25; only
+//!   [`AuScale`] converts. Missing is `None`, never 0.
 //! * **Units** are in names: `_px`, `_mm`, `_secs`, `_nanos`; angles are radians.
 //!
 //! Parsers take bytes and say where they stumbled; a thin `read_*` wrapper adds the file's name. Nothing here prints.
@@ -24,6 +25,7 @@
 pub mod atomic;
 pub mod attribute;
 pub mod au;
+pub mod au_scale;
 pub mod camera;
 pub mod colmap;
 pub mod curves;
@@ -54,6 +56,7 @@ pub mod views;
 
 pub use attribute::{AttributeSpec, AttributeTable};
 pub use au::ActionUnit;
+pub use au_scale::{Activation, Attribute, AuScale, Intensity};
 pub use camera::{Camera, Intrinsics, Isometry};
 pub use curves::Curves;
 pub use error::{ErrorKind, FormatError, Hint};

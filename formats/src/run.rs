@@ -16,7 +16,7 @@ pub struct RunManifest {
     pub dataset: PathBuf,
     /// SHA-256 of the dataset's manifest files.
     pub dataset_sha256: String,
-    /// The field's name: `confies` or `brick`.
+    /// The field's name: `splat` or `confies`.
     pub field: String,
     /// The seed of every random draw.
     pub seed: u64,

@@ -9,7 +9,7 @@ use risorius_formats::intensities::Intensities;
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{self, Polygons};
 use risorius_formats::views::ViewList;
-use risorius_formats::{Silent, TakeManifest, colmap, frame, openface};
+use risorius_formats::{Intensity, Silent, TakeManifest, colmap, frame, openface};
 
 /// OpenFace tables, curves, frames, intensities.
 pub fn tables(choice: u8, bytes: &[u8]) {
@@ -107,7 +107,7 @@ pub fn text(choice: u8, bytes: &[u8]) {
         0 => drop(TakeManifest::parse(&text)),
         1 => {
             if let Ok(table) = AttributeTable::parse(&text) {
-                assert!(table.attributes.iter().all(|a| a.attribute_from_intensity(2.0).is_finite()));
+                assert!(table.attributes.iter().all(|a| a.scale().attribute(Intensity(2.0)).0.is_finite()));
             }
         }
         2 => drop(nerfies::parse_annotations(bytes, 17)),

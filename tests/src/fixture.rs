@@ -78,7 +78,7 @@ pub fn posed_take(capture: &Path, take: &Path, frames: usize) {
     succeed("tracker", &["poses", text(take), "--colmap-model", text(&capture.join("truth_colmap")), "-q"]);
 }
 
-/// A small capture with a take, a dataset and an avatar of each field: `capture`, `take`, `data`, `brick`, `confies`.
+/// A small capture with a take, a dataset and an avatar of each field: `capture`, `take`, `data`, `splat`, `confies`.
 ///
 /// # Panics
 /// When it cannot be made.
@@ -91,7 +91,7 @@ pub fn tiny() -> PathBuf {
         posed_take(&capture, &take, 24);
         let build = ["build", text(&take), "--balance", "--frames", "12", "--scale", "2", "--scales", "2", "-q"];
         succeed("dataset", &[&build[..], &["--out", text(&data)]].concat());
-        for (field, more) in [("brick", &["--steps", "20"][..]), ("confies", &["--preset", "tiny", "--steps", "2"])] {
+        for (field, more) in [("splat", &["--steps", "20"][..]), ("confies", &["--preset", "tiny", "--steps", "2"])] {
             let run = at(field);
             succeed("trainer", &[&["fit", text(&data), "--out", text(&run), "--field", field, "-q"], more].concat());
             fs::remove_dir_all(run.join("checkpoints")).unwrap();

@@ -180,3 +180,20 @@ fn the_problems_of_a_dataset_are_one_document() {
     assert_eq!(problems[0]["message"], "does not exist");
     assert!(document.get("error").is_none());
 }
+
+#[test]
+fn a_run_of_the_field_that_is_gone_is_told_in_a_sentence() {
+    let bench = Bench::new();
+    let run_dir = bench.at("old");
+    fs::create_dir_all(run_dir.join("checkpoints")).unwrap();
+    fs::write(run_dir.join("model.json"), r#"{"version":2,"field":"brick","layout":{}}"#).unwrap();
+    fs::write(run_dir.join("settings.toml"), "field = \"brick\"\nbudget_secs = 120.0\n").unwrap();
+    let words = "was made by the brick field of an earlier version";
+    let out = bench.at("pictures");
+    says(&bench.fails("trainer", &["render", text(&run_dir), "--out", text(&out)]), words);
+    let (take, dataset) = (bench.at("take"), bench.at("dataset"));
+    succeed("dataset", &["-q", "build", text(&take), "--frames", "10", "--scale", "4", "--out", text(&dataset)]);
+    let said = bench.fails("trainer", &["fit", text(&dataset), "--out", text(&run_dir), "--resume"]);
+    says(&said, words);
+    says(&said, "fit the dataset again");
+}

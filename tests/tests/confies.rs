@@ -55,7 +55,8 @@ fn costs_are_told_before_and_tables_go_on_where_they_were() {
     refuse(&["--field", "confies", "--memory-limit", "1MiB"], 1);
     refuse(&["--field", "confies", "--model", "gan"], 2);
     refuse(&["--field", "confies", "--set", "model.hyper_dim=3"], 2);
-    refuse(&["--field", "brick", "--model", "nerf"], 2);
+    refuse(&["--field", "splat", "--model", "nerf"], 2);
+    refuse(&["--field", "brick"], 2);
 
     // Two rows of the table, of which one is measured already when the rest is asked for.
     let work = dir.path().join("table");

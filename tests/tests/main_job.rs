@@ -51,8 +51,8 @@ fn video_to_avatar_to_transfer() {
 
     succeed("capture", &["record", "--input", text(&capture.join("driver.mp4")), "--out", text(&driver), "-q"]);
     succeed("tracker", &["import", text(&driver), "--openface", text(&capture.join("driver_openface.csv")), "-q"]);
-    // The paper's networks show that the chain holds; the brick field has to show the head as well.
-    for (field, length, value, least_db) in [("confies", "--preset", "tiny", 8.0), ("brick", "--steps", "400", 16.0)] {
+    // The paper's networks show that the chain holds; the Gaussians have to show the head as well.
+    for (field, length, value, least_db) in [("confies", "--preset", "tiny", 8.0), ("splat", "--steps", "400", 16.0)] {
         let run_dir = at(field);
         let fit = ["fit", text(&dataset), "--out", text(&run_dir), "--field", field, length, value, "--json"];
         let summary = json(&succeed("trainer", &fit));
@@ -107,8 +107,8 @@ fn an_interrupted_fit_goes_on_as_if_nothing_had_happened() {
         "dataset",
         &["build", text(&take), "--balance", "--frames", "20", "--scale", "2", "--out", text(&dataset), "-q"],
     );
-    // Until the brick field's last stage it carries the most state from step to step: 240 steps cull and change stage.
-    for (field, length, value, every) in [("confies", "--preset", "tiny", 20), ("brick", "--steps", "240", 80)] {
+    // 240 steps of the Gaussian field change its size and grow it.
+    for (field, length, value, every) in [("confies", "--preset", "tiny", 20), ("splat", "--steps", "240", 80)] {
         let every_text = every.to_string();
         let fit = |run_dir: &Path| {
             let args = ["fit", text(&dataset), "--out", text(run_dir), "--field", field, length, value, "-q"];

@@ -72,7 +72,7 @@ fn how(line: &str, has_models: bool) -> How {
     } else if line.starts_with("trainer view") {
         How::Serve
     } else if line.starts_with("trainer fit") {
-        How::Run(line.replace("--budget 2m", "--steps 60").replace("--preset paper", "--preset tiny"))
+        How::Run(line.replace("--budget 1m", "--steps 60").replace("--preset paper", "--preset tiny"))
     } else if line.starts_with("trainer eval") {
         // The tracker reads AUs from faces that it finds, of which this avatar has none yet.
         let small = line.replace(" --control", "");

@@ -53,7 +53,7 @@ impl Drop for AtTheEnd<'_> {
 fn a_viewer_holds_what_it_held() {
     // What a thread works in, it makes when it first has something to do: with one thread, that is at once.
     rayon::ThreadPoolBuilder::new().num_threads(1).build_global().unwrap();
-    let run = tiny().join("brick");
+    let run = tiny().join("splat");
     let avatar = Avatar::open(&run, &Device::default()).unwrap();
     let settings = ViewSettings { run, port: 0, curves: None, live: None, live_range: Range::Avatar };
     let stop = Stop::default();

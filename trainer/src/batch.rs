@@ -121,11 +121,11 @@ fn fill(
             _ => {
                 let index = frames[rng.random_range(0..frames.len())];
                 let frame = &data.frames[index];
-                let inside = batch.len() - begin < focused && !frame.region_pixels.is_empty();
+                let inside = batch.len() - begin < focused && !frame.region_pixels().is_empty();
                 let pixel = if inside {
-                    frame.region_pixels[rng.random_range(0..frame.region_pixels.len())]
+                    frame.region_pixels()[rng.random_range(0..frame.region_pixels().len())]
                 } else {
-                    match &frame.valid {
+                    match frame.valid_pixels() {
                         Some(valid) => valid[rng.random_range(0..valid.len())],
                         None => rng.random_range(0..frame.pixels.len() as u32 / 3),
                     }
@@ -162,7 +162,7 @@ impl<'a> Epochs<'a> {
         let mut before = vec![0];
         for &i in frames {
             let frame = &data.frames[i];
-            let rays = frame.valid.as_ref().map_or(frame.pixels.len() / 3, Vec::len) as u64;
+            let rays = frame.valid_pixels().map_or(frame.pixels.len() / 3, <[u32]>::len) as u64;
             before.push(before[before.len() - 1] + rays);
         }
         let total = before[before.len() - 1].max(1);
@@ -199,7 +199,7 @@ impl<'a> Epochs<'a> {
         let place = self.before.partition_point(|&b| b <= ray) - 1;
         let index = self.frames[place];
         let pixel = (ray - self.before[place]) as usize;
-        (index, data.frames[index].valid.as_ref().map_or(pixel as u32, |valid| valid[pixel]))
+        (index, data.frames[index].valid_pixels().map_or(pixel as u32, |valid| valid[pixel]))
     }
 }
 
@@ -225,7 +225,7 @@ fn push(
     }
     for (k, spec) in data.table.attributes.iter().enumerate() {
         let value = frame.attributes.as_ref().map(|a| a[k]);
-        batch.attributes.push(value.unwrap_or(-1.0));
+        batch.attributes.push(value.map_or(-1.0, |a| a.0));
         batch.attributes_given.push(f32::from(u8::from(value.is_some() && spec.active)));
     }
     true

@@ -1,18 +1,19 @@
 //! What the description of a stored model may ask for. It comes from a file that somebody else may have written, and is
-//! checked before anything is allocated or marched by it.
+//! checked before anything is allocated or drawn by it.
 
-use risorius_brick::expression::REST;
-use risorius_brick::model::LATENT;
-use risorius_brick::{BackgroundFrame, HeadBox, Progress};
 use risorius_formats::Camera;
+use risorius_splat::Layout;
+use risorius_splat::fit::Progress;
+use risorius_splat::model::{LANES, LATENT, REGIONS};
 
-use crate::brick::fit::BrickSettings;
-use crate::brick::store::SavedBrick;
 use crate::config::{ModelConfig, NetSize};
 use crate::saved::{SavedConfies, SavedModel};
+use crate::splat::{SavedSplat, SplatSettings};
 
-/// No lattice, picture side or number of samples along a ray is larger.
+/// No picture side or number of samples along a ray is larger.
 const MOST_ALONG: usize = 4096;
+/// No fit grows to more Gaussians.
+const MOST_GAUSSIANS: usize = 1 << 23;
 /// Sizes of worlds in 32-bit floats whose inverses are numbers as well.
 const SIZES: std::ops::RangeInclusive<f32> = 1e-12..=1e12;
 
@@ -36,7 +37,7 @@ fn positive(name: &str, value: f32) -> Checked {
     if SIZES.contains(&value) { Ok(()) } else { Err(format!("`{name}` is {value}")) }
 }
 
-/// What both fields describe.
+/// What all fields describe.
 pub(crate) fn of_model(saved: &SavedModel) -> Checked {
     within("table", saved.table.attributes.len(), 0..=256)?;
     let regions = saved.table.regions.len();
@@ -61,75 +62,70 @@ pub(crate) fn of_model(saved: &SavedModel) -> Checked {
     bounded("orbit_rad", &saved.orbit_rad.map(|v| v as f32))
 }
 
-/// The settings of a fit of the brick field: from the command line, or from the file of a run that is resumed.
-pub(crate) fn of_settings(settings: &BrickSettings) -> Checked {
-    let s = &settings.step;
-    within("step.images", s.images, 1..=4096)?;
-    within("step.samples", s.samples, 1..=1 << 28)?;
-    within("expression_vertices", settings.expression_vertices, 8..=256)?;
-    if !settings.expression_vertices.is_multiple_of(8) {
-        return Err(format!("`expression_vertices` is {}, expected a multiple of 8", settings.expression_vertices));
-    }
-    within("finest_level", settings.finest_level, 0..=2048)?;
-    s.finest.iter().try_for_each(|&n| within("step.finest", n, 1..=MOST_ALONG))?;
-    within("step.settled_planes", s.settled_planes, 1..=MOST_ALONG)?;
-    for (name, share) in [("region_share", settings.region_share), ("step.code_share", s.code_share)] {
-        if !(0.0..=1.0).contains(&share) {
-            return Err(format!("`{name}` is {share}, expected 0 to 1"));
+/// The settings of a fit of the Gaussian field: from the command line, or from the file of a run that is resumed.
+pub(crate) fn of_settings(settings: &SplatSettings) -> Checked {
+    let s = &settings.splat;
+    within("splat.gaussians", s.gaussians, 1..=MOST_GAUSSIANS)?;
+    within("splat.densifications", s.densifications as usize, 0..=1000)?;
+    for (name, mm) in ["splat.voxel_mm: head", "splat.voxel_mm: background"].into_iter().zip(s.voxel_mm) {
+        if !(0.1..=1000.0).contains(&mm) {
+            return Err(format!("`{name}` is {mm}, expected 0.1 to 1000"));
         }
     }
-    let rates = [s.grid_rate, s.residual_rate, s.warp_rate, s.net_rate, s.image_rate, s.final_rate];
-    let weights = [s.mask_weight, s.latent_weight, s.faint];
-    let pairs = [s.haze, s.spread, s.smooth, s.attribute_weight];
-    let all = rates.iter().chain(&weights).chain(pairs.as_flattened());
-    match all.copied().find(|v| !(0.0..=1e6).contains(v)) {
-        Some(bad) => Err(format!("a rate or weight is {bad}, expected a number from 0")),
-        None => Ok(()),
+    let [first, last] = s.densify_between;
+    let shares = [
+        ("coarse_share", s.coarse_share),
+        ("mean_final", s.mean_final),
+        ("final_rate", s.final_rate),
+        ("densify_between", first),
+        ("densify_between", last),
+        ("prune_opacity", s.prune_opacity),
+        ("code_share", s.code_share),
+    ];
+    if let Some((name, share)) = shares.into_iter().find(|(_, share)| !(0.0..=1.0).contains(share)) {
+        return Err(format!("`splat.{name}` is {share}, expected 0 to 1"));
     }
+    let rates = [s.mean_px, s.depth_factor, s.delta_factor, s.log_scale_rate, s.quaternion_rate, s.opacity_rate];
+    let more = [s.color_rate, s.sh_rate, s.latent_weight, s.code_rate, s.image_rate, s.mask_rate];
+    let all = rates.into_iter().chain(more).chain(s.attribute_weight).chain(s.pose_rate);
+    if let Some(bad) = all.into_iter().find(|v| !(0.0..=1e6).contains(v)) {
+        return Err(format!("a rate or weight is {bad}, expected a number from 0"));
+    }
+    if !(settings.budget_secs.is_finite() && settings.budget_secs > 0.0) {
+        return Err(format!("`budget_secs` is {}, expected a time", settings.budget_secs));
+    }
+    Ok(())
 }
 
 /// How far a fit that is resumed says it is.
 pub(crate) fn of_progress(progress: &Progress) -> Checked {
-    within("progress.stage", progress.stage, 0..=risorius_brick::fit::LAST_STAGE)?;
     // A step that wraps around would start over.
     within("progress.step", progress.step as usize, 0..=1 << 48)?;
-    within("progress.stage_steps", progress.stage_steps as usize, 0..=1 << 48)?;
-    if progress.samples_per_ray.is_finite() {
-        Ok(())
-    } else {
-        Err("`progress.samples_per_ray` is no number".to_owned())
-    }
+    within("progress.basis_steps", progress.basis_steps.len(), 0..=256 + LATENT)
 }
 
-/// The brick field, whose arrays are a file of `file_bytes`.
-pub(crate) fn of_brick(saved: &SavedBrick, file_bytes: usize) -> Checked {
-    let layout = &saved.layout;
-    within("layout.regions", layout.regions, 0..=REST)?;
+/// Sizes of the Gaussian field, whose arrays take `bytes`.
+pub(crate) fn of_layout(layout: &Layout, bytes: usize) -> Checked {
+    within("layout.regions", layout.regions, 0..=REGIONS)?;
     within("layout.region_of", layout.region_of.len(), 0..=256)?;
     for &region in &layout.region_of {
         within("layout.region_of", region, 0..=layout.regions.saturating_sub(1))?;
     }
-    within("layout.images", layout.images, 1..=file_bytes / (4 * LATENT))?;
-    within("layout.expression_vertices", layout.expression_vertices, 8..=256)?;
-    if !layout.expression_vertices.is_multiple_of(8) {
-        return Err(format!("`layout.expression_vertices` is {}, no multiple of 8", layout.expression_vertices));
-    }
-    within("layout.finest", layout.finest, 0..=2048)?;
-    within("divisions", saved.divisions, 0..=MOST_ALONG)?;
-    within("planes", saved.planes, 0..=MOST_ALONG)?;
+    within("layout.latent", layout.latent, 0..=LATENT)?;
+    within("layout.images", layout.images, 0..=bytes.max(1 << 24))
+}
+
+/// The Gaussian field, whose arrays are a file of `file_bytes`.
+pub(crate) fn of_splat(saved: &SavedSplat, file_bytes: usize) -> Checked {
+    of_layout(&saved.layout, file_bytes)?;
+    // A group's means alone take this much of the file.
+    within("groups", saved.groups, 0..=file_bytes / (3 * 4 * LANES))?;
+    within("deformable", saved.deformable, 0..=saved.groups)?;
     for side in saved.plate.iter().flatten() {
         within("plate", *side as usize, 1..=4 * MOST_ALONG)?;
     }
-    let HeadBox { center, half } = layout.head_box;
-    bounded("layout.head_box.center", &center)?;
-    positive("layout.head_box.half", half)?;
-    let Some(BackgroundFrame { position, axes, near, far, middle, extent }) = layout.background else { return Ok(()) };
-    bounded("layout.background.position", &position)?;
-    bounded("layout.background.axes", axes.as_flattened())?;
-    bounded("layout.background.middle", &middle)?;
-    positive("layout.background.near", near)?;
-    positive("layout.background.far", far)?;
-    extent.iter().try_for_each(|&e| positive("layout.background.extent", e))
+    positive("space.metres_per_unit", saved.space.metres_per_unit as f32)?;
+    bounded("space.origin_in_world", &saved.space.origin_in_world.as_vec3().to_array())
 }
 
 /// The paper's networks, whose weights are a file of `file_bytes`.

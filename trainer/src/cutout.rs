@@ -1,39 +1,13 @@
 //! The head cut out of its background.
 //!
-//! A ray's opacity is what the head takes of its light: 1 − Π (1 − a_i) over the head's samples, with the colours that
-//! these show. Both are kept multiplied together (premultiplied) while pixels are averaged or enlarged, since only such
+//! A pixel's opacity is what the head takes of the light behind it, 1 − Π (1 − a_i), with the colours that it shows. Both
+//! are kept multiplied together (premultiplied) while pixels are averaged or enlarged, since only such
 //! numbers may be mixed; PNG's colours are straight, so [`straight`] divides at the end.
 
 use image::{ImageBuffer, Rgba, RgbaImage, imageops};
 
-/// A pixel whose opacity differs by more than this from a neighbour's lies on the head's edge.
-const EDGE: f32 = 0.05;
 /// Opacities below half a level of 255 are written as 0, and have no colour.
 const CLEAR: f32 = 0.5 / 255.0;
-
-/// Where on a pixel of the edge rays are sent, pixels from its middle.
-pub const ON_EDGES: [[f64; 2]; 4] = [[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]];
-
-/// Pixels on the edge of a premultiplied picture: one ray through the middle says too little of them.
-pub fn edges(head: &[[f32; 4]], width: usize) -> Vec<usize> {
-    let mut on_edge = vec![false; head.len()];
-    for i in 0..head.len() {
-        let right = (i % width + 1 < width).then_some(i + 1);
-        let below = (i + width < head.len()).then_some(i + width);
-        for j in [right, below].into_iter().flatten() {
-            if (head[i][3] - head[j][3]).abs() > EDGE {
-                on_edge[i] = true;
-                on_edge[j] = true;
-            }
-        }
-    }
-    (0..head.len()).filter(|&i| on_edge[i]).collect()
-}
-
-/// The mean of premultiplied colours.
-pub fn mean(of: &[[f32; 4]]) -> [f32; 4] {
-    std::array::from_fn(|c| of.iter().map(|v| v[c]).sum::<f32>() / of.len().max(1) as f32)
-}
 
 /// A premultiplied picture of `width` × `height` as straight 8-bit RGBA of `size`.
 pub fn straight(head: &[[f32; 4]], (width, height): (u32, u32), size: (u32, u32)) -> RgbaImage {
@@ -89,12 +63,5 @@ mod tests {
         let large = straight(&head, (8, 8), (32, 32));
         let soft: Vec<_> = large.pixels().filter(|p| (30..226).contains(&p.0[3])).collect();
         assert!(!soft.is_empty() && soft.iter().all(|p| p.0[0] == 255 && p.0[1] == 0), "{soft:?}");
-    }
-
-    #[test]
-    fn edges_are_both_sides_of_a_step_and_nothing_else() {
-        let head: Vec<[f32; 4]> = (0..24).map(|i| [0.0, 0.0, 0.0, if i % 6 < 3 { 1.0 } else { 0.0 }]).collect();
-        assert_eq!(edges(&head, 6), [2, 3, 8, 9, 14, 15, 20, 21]);
-        assert_eq!(mean(&[[1.0, 0.0, 0.0, 1.0], [0.0; 4]]), [0.5, 0.0, 0.0, 0.5]);
     }
 }

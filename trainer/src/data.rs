@@ -1,14 +1,16 @@
-//! A dataset in memory: images as bytes, one camera per frame, region labels, attributes. Rays are made on the fly
+//! A dataset in memory: images as bytes, one camera per frame, region labels, AUs. Rays are made on the fly
 //! (fact sheet §2.4: materialised rays would take 100 times the memory).
 
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use image::RgbImage;
 use rayon::prelude::*;
 use risorius_formats::intensities::Intensities;
+use risorius_formats::landmark_table::LandmarkTable;
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{self, Dataset, Extras};
-use risorius_formats::{AttributeSpec, AttributeTable, Camera, Reporter, hash, package};
+use risorius_formats::{Attribute, AttributeTable, AuScale, Camera, Intensity, Reporter, hash, package};
 
 use crate::error::{Result, TrainerError};
 
@@ -23,14 +25,42 @@ pub struct TrainFrame {
     pub pixels: Vec<u8>,
     /// Region labels, where the frame has masks.
     pub labels: Option<Vec<u8>>,
+    /// Which pixels may be fitted (non-zero), row by row; `None` means all.
+    pub valid: Option<Vec<u8>>,
+    /// The attributes; `None` when the frame has no annotation.
+    pub attributes: Option<Vec<Attribute>>,
+    /// The intensities behind them, where the dataset tells them; those of AUs that never moved are the neutral ones.
+    pub intensities: Option<Vec<Intensity>>,
+    /// The 68 facial landmarks in pixels of the image in memory, where the dataset has them.
+    pub landmarks_px: Option<[[f32; 2]; 68]>,
+    /// Pixels by index, for fits that draw single ones.
+    pub lists: PixelLists,
+}
+
+/// Pixels of a frame by index, listed when they are first asked for: they take four times the memory of the masks.
+#[derive(Clone, Debug, Default)]
+pub struct PixelLists {
+    valid: OnceLock<Vec<u32>>,
+    region: OnceLock<Vec<u32>>,
+}
+
+impl TrainFrame {
     /// Pixels that may be fitted, by index; `None` means all.
-    pub valid: Option<Vec<u32>>,
+    pub fn valid_pixels(&self) -> Option<&[u32]> {
+        let mask = self.valid.as_ref()?;
+        Some(self.lists.valid.get_or_init(|| listed(mask, |_| true)))
+    }
+
     /// Pixels inside a region (and valid), by index.
-    pub region_pixels: Vec<u32>,
-    /// The attributes, −1..1; `None` when the frame has no annotation.
-    pub attributes: Option<Vec<f32>>,
-    /// The same without eq. 1's cap at 1, where the dataset tells the intensities.
-    pub uncapped: Option<Vec<f32>>,
+    pub fn region_pixels(&self) -> &[u32] {
+        let is_valid = |i: usize| self.valid.as_ref().is_none_or(|v| v[i] > 0);
+        self.lists.region.get_or_init(|| self.labels.as_ref().map(|l| listed(l, is_valid)).unwrap_or_default())
+    }
+}
+
+/// Where a mask is set, and `also` holds.
+fn listed(mask: &[u8], also: impl Fn(usize) -> bool) -> Vec<u32> {
+    (0..mask.len()).filter(|&i| mask[i] > 0 && also(i)).map(|i| i as u32).collect()
 }
 
 /// A dataset ready for fitting.
@@ -78,19 +108,28 @@ impl TrainData {
         }
         let scale = if scale > 0 { scale } else { dataset.extras.as_ref().map_or(4, |e| e.default_scale) };
         let intensities = Intensities::read(dir)?;
+        let landmarks = LandmarkTable::read(dir)?;
         reporter.stage("load", Some(dataset.train_ids.len() as u64));
         let frames = dataset
             .train_ids
             .par_iter()
             .map(|id| {
                 let mut frame = load_frame(dir, &dataset, &table, id, scale)?;
-                frame.uncapped = intensities.as_ref().and_then(|i| uncapped_of(i, &table, id));
+                frame.intensities = intensities.as_ref().and_then(|i| intensities_of(i, &table, id));
+                frame.landmarks_px = landmarks.as_ref().and_then(|l| landmarks_at(l, id, scale));
                 reporter.advance(1);
                 Ok(frame)
             })
             .collect::<Result<Vec<_>>>()?;
-        let manifests =
-            ["dataset.json", "metadata.json", "scene.json", "attributes.toml", "annotations.yml", "intensities.csv"];
+        let manifests = [
+            "dataset.json",
+            "metadata.json",
+            "scene.json",
+            "attributes.toml",
+            "annotations.yml",
+            "intensities.csv",
+            "landmarks.csv",
+        ];
         let hashes: Vec<String> =
             manifests.iter().filter_map(|name| hash::sha256_of_file(dir.join(name)).ok()).collect();
         Ok(Self {
@@ -103,11 +142,12 @@ impl TrainData {
         })
     }
 
-    /// Bytes of memory that the frames take.
+    /// Bytes of memory that the frames take, with lists of pixels.
     pub fn bytes(&self) -> u64 {
         let of = |f: &TrainFrame| {
-            let lists = f.valid.as_ref().map_or(0, Vec::len) + f.region_pixels.len();
-            f.pixels.len() + f.labels.as_ref().map_or(0, Vec::len) + 4 * lists
+            let lists = f.valid_pixels().map_or(0, <[u32]>::len) + f.region_pixels().len();
+            let masks = [&f.labels, &f.valid].into_iter().flatten().map(Vec::len).sum::<usize>();
+            f.pixels.len() + masks + 4 * lists
         };
         self.frames.iter().map(|f| of(f) as u64).sum()
     }
@@ -117,9 +157,9 @@ impl TrainData {
         self.dataset.extras.as_ref()
     }
 
-    /// Whether every annotated frame has attributes without eq. 1's cap.
-    pub fn is_uncapped(&self) -> bool {
-        self.frames.iter().all(|f| f.attributes.is_none() || f.uncapped.is_some())
+    /// Whether the intensities of every annotated frame are known, and not only the attributes, which eq. 1 caps.
+    pub fn has_intensities(&self) -> bool {
+        self.frames.iter().all(|f| f.attributes.is_none() || f.intensities.is_some())
     }
 
     /// Index of the most neutral frame: the one that the dataset names, else the smallest distance of its attributes
@@ -129,9 +169,9 @@ impl TrainData {
         if let Some(index) = named.and_then(|id| self.frames.iter().position(|f| f.id == *id)) {
             return index;
         }
-        let neutral: Vec<f32> = self.table.attributes.iter().map(AttributeSpec::neutral_attribute).collect();
+        let neutral: Vec<Attribute> = self.table.attributes.iter().map(|a| a.neutral_attribute()).collect();
         let distance = |f: &TrainFrame| match &f.attributes {
-            Some(a) => a.iter().zip(&neutral).map(|(a, n)| (a - n).powi(2)).sum(),
+            Some(a) => a.iter().zip(&neutral).map(|(a, n)| (a.0 - n.0).powi(2)).sum(),
             None => f32::INFINITY,
         };
         (0..self.frames.len())
@@ -186,13 +226,7 @@ fn load_frame(dir: &Path, dataset: &Dataset, table: &AttributeTable, id: &str, s
         return Err(fail(format!("its label image holds region {bad} of {}", table.regions.len())));
     }
     let valid = read_labels(nerfies::valid_path(dir, scale, id))?;
-    let is_valid = |i: usize| valid.as_ref().is_none_or(|v| v[i] > 0);
-    let region_pixels = labels
-        .as_ref()
-        .map(|l| (0..pixel_count).filter(|&i| l[i] > 0 && is_valid(i)).map(|i| i as u32).collect())
-        .unwrap_or_default();
-    let valid = valid.as_ref().map(|v| (0..pixel_count).filter(|&i| v[i] > 0).map(|i| i as u32).collect::<Vec<_>>());
-    if valid.as_ref().is_some_and(Vec::is_empty) {
+    if valid.as_ref().is_some_and(|v| v.iter().all(|&v| v == 0)) {
         return Err(fail("no pixel of it may be fitted".to_owned()));
     }
     Ok(TrainFrame {
@@ -201,39 +235,46 @@ fn load_frame(dir: &Path, dataset: &Dataset, table: &AttributeTable, id: &str, s
         pixels: image.into_raw(),
         labels,
         valid,
-        region_pixels,
         attributes: attributes_of(dataset, table, id),
-        uncapped: None,
+        intensities: None,
+        landmarks_px: None,
+        lists: PixelLists::default(),
     })
 }
 
 /// The annotated attributes of a frame: classes that are not listed are 0 when another one is (fact sheet §3.7).
-fn attributes_of(dataset: &Dataset, table: &AttributeTable, id: &str) -> Option<Vec<f32>> {
+fn attributes_of(dataset: &Dataset, table: &AttributeTable, id: &str) -> Option<Vec<Attribute>> {
     let frame: u32 = id.parse().ok()?;
     let range = annotation_range(dataset, frame);
     if range.is_empty() {
         return None;
     }
-    let mut attributes = vec![0.0; table.attributes.len()];
+    let mut attributes = vec![Attribute(0.0); table.attributes.len()];
     for a in &dataset.annotations[range] {
         if let Some(slot) = attributes.get_mut(a.class) {
-            *slot = a.value.clamp(-1.0, 1.0);
+            *slot = Attribute(a.value.clamp(-1.0, 1.0));
         }
     }
     Some(attributes)
 }
 
-/// The attributes of a frame without eq. 1's cap; `None` where an active AU's intensity is not told.
-fn uncapped_of(intensities: &Intensities, table: &AttributeTable, id: &str) -> Option<Vec<f32>> {
+/// The intensities of a frame as they were fitted; `None` where that of an active AU is not told.
+pub fn intensities_of(intensities: &Intensities, table: &AttributeTable, id: &str) -> Option<Vec<Intensity>> {
     let row = intensities.rows.get(id)?;
-    let of = |spec: &AttributeSpec| {
-        let column = intensities.units.iter().position(|&u| u == spec.unit);
+    let of = |scale: AuScale, unit| {
+        let column = intensities.units.iter().position(|&u| u == unit);
         match column.and_then(|c| row.get(c)) {
-            Some(&v) => Some(spec.uncapped_attribute_from_intensity(v)),
-            None => (!spec.active).then_some(-1.0),
+            Some(&v) => Some(Intensity(v)),
+            None => (!scale.is_active()).then(|| scale.neutral()),
         }
     };
-    table.attributes.iter().map(of).collect()
+    table.attributes.iter().map(|spec| of(spec.scale(), spec.unit)).collect()
+}
+
+/// The landmarks of a frame in pixels of its image at `scale`.
+fn landmarks_at(landmarks: &LandmarkTable, id: &str, scale: u32) -> Option<[[f32; 2]; 68]> {
+    let points = &landmarks.rows.get(id)?.points_px;
+    Some(points.map(|p| p.map(|v| v / scale as f32)))
 }
 
 /// Annotations are sorted by frame by the reader of the folder.

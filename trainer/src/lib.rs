@@ -1,8 +1,10 @@
-//! A dataset becomes an avatar: the CoNFies field fitted, rendered, evaluated and driven.
+//! A dataset becomes an avatar: a field fitted, rendered, evaluated and driven. There are two fields behind one seam
+//! ([`field`]): Gaussians ([`splat`]), and the networks of the paper ([`confies`]).
 //!
 //! ```text
-//! data ─▶ batch ─▶ sampling ─▶ model (fields) ─▶ volume ─▶ loss ─▶ fit        RUN/
-//!                                 ▲ kernel                     │ saved ─▶ avatar ─▶ jobs (render, eval, transfer)
+//! data ─▶ splat ────────────────────────────────────────────────────▶ fit     RUN/
+//!      └▶ batch ─▶ sampling ─▶ model (fields) ─▶ volume ─▶ loss ────▶┘ │ saved ─▶ avatar ─▶ jobs (render, eval, transfer)
+//!                                 ▲ kernel
 //! ```
 //!
 //! Names are the paper's: attribute α, region mask m, ambient slices w, deformation x', template F, uncertainty β,
@@ -11,8 +13,8 @@
 pub mod avatar;
 pub mod batch;
 mod bounds;
-pub mod brick;
 pub mod cli;
+pub mod confies;
 pub mod config;
 pub mod cost;
 pub mod cutout;
@@ -21,6 +23,8 @@ pub mod devices;
 pub mod encoding;
 pub mod error;
 pub mod eval;
+pub mod expression;
+pub mod field;
 pub mod fields;
 pub mod fit;
 pub mod hull;
@@ -36,6 +40,7 @@ pub mod saved;
 pub mod schedule;
 pub mod se3;
 pub mod space;
+pub mod splat;
 pub mod studio;
 pub mod view;
 pub mod volume;

@@ -13,13 +13,15 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
 use crate::bounds;
-use crate::brick::store::SavedBrick;
+use crate::confies::ConfiesField;
 use crate::config::{FitSettings, MaskRendering, ModelConfig, Spacing};
 use crate::data::TrainData;
 use crate::error::{Result, TrainerError};
+use crate::field::Field;
 use crate::model::{ConfiesModel, region_groups};
 use crate::path;
 use crate::space::NetSpace;
+use crate::splat::{SavedSplat, SplatField};
 
 /// `RUN/model.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -52,8 +54,30 @@ pub struct SavedModel {
 pub enum SavedField {
     /// The paper's networks.
     Confies(SavedConfies),
-    /// The brick field.
-    Brick(SavedBrick),
+    /// Gaussians.
+    Splat(SavedSplat),
+}
+
+/// The name of the field of avatars that are no longer read.
+const REMOVED: &str = "brick";
+
+/// Refuses a run of a field that is no longer there.
+pub(crate) fn check_field(field: &str, run: &Path) -> Result<()> {
+    if field != REMOVED {
+        return Ok(());
+    }
+    Err(TrainerError::Run {
+        path: run.to_owned(),
+        message: "was made by the brick field of an earlier version".to_owned(),
+        hint: "fit the dataset again".to_owned(),
+    })
+}
+
+/// What `model.json` says first.
+#[derive(Deserialize)]
+struct Named {
+    #[serde(default)]
+    field: String,
 }
 
 /// The paper's networks without their weights.
@@ -83,7 +107,7 @@ impl SavedModel {
         let camera = &data.frames[neutral_frame].camera;
         let cameras: Vec<Camera> = data.frames.iter().map(|f| f.camera).collect();
         Self {
-            version: 2,
+            version: 3,
             field,
             table: data.table.clone(),
             center_in_world,
@@ -133,9 +157,20 @@ impl SavedModel {
             FormatError::io(&path, "read", &e)
                 .with_hint("this folder holds no fitted avatar; make one with `trainer fit DATASET --out RUN`")
         })?;
-        let saved: Self = serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(&path))?;
+        let broken = |e: serde_json::Error| json_error(&e).in_file(&path);
+        let named: Named = serde_json::from_slice(&bytes).map_err(broken)?;
+        check_field(&named.field, run)?;
+        let saved: Self = serde_json::from_slice(&bytes).map_err(broken)?;
         bounds::of_model(&saved).map_err(|problem| damaged(&path, &problem))?;
         Ok(saved)
+    }
+
+    /// Opens the field that the run holds.
+    pub fn open_field(&self, run: &Path, device: &Device) -> Result<Box<dyn Field>> {
+        Ok(match &self.field {
+            SavedField::Confies(confies) => Box::new(ConfiesField::open(self, confies, run, device)?),
+            SavedField::Splat(splat) => Box::new(SplatField::open(self, splat, run)?),
+        })
     }
 
     /// Builds the model and fills in the weights of `model.safetensors`.
@@ -224,5 +259,21 @@ impl ModuleMapper for Filler<'_> {
         }
         let device = param.val().device();
         param.map(|_| Tensor::from_data(TensorData::new(values, shape), &device))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use risorius_formats::Hint as _;
+
+    use super::*;
+
+    #[test]
+    fn an_avatar_of_the_field_that_is_gone_says_so() {
+        let run = tempfile::tempdir().unwrap();
+        std::fs::write(run.path().join("model.json"), r#"{"version":2,"field":"brick","layout":{}}"#).unwrap();
+        let error = SavedModel::read(run.path()).unwrap_err();
+        assert!(error.to_string().ends_with("was made by the brick field of an earlier version"), "{error}");
+        assert_eq!(error.hint().as_deref(), Some("fit the dataset again"));
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use risorius_formats::nerfies::Dataset;
-use risorius_formats::{AttributeTable, Reporter, atomic};
+use risorius_formats::{Attribute, AttributeTable, Reporter, atomic};
 
 use super::{attributes_of, card, copy, copy_images, image_name, make};
 use crate::TAKE_OFFSET;
@@ -80,7 +80,7 @@ fn frames_table(dataset: &Dataset, dir: &Path, scale: u32, path: &Path) -> Resul
             |id: &String| id.parse().ok().and_then(|n: u32| values.get(&n)).and_then(|v| v.get(&class)).copied();
         let spec = table.as_ref().and_then(|t| t.attributes.get(class)).filter(|s| s.active);
         columns.push(column(&format!("{name}_attribute"), ids.iter().map(value).collect::<Vec<_>>()));
-        let intensity = |id| Some(spec?.intensity_from_attribute(value(id)?));
+        let intensity = |id| Some(spec?.scale().intensity(Attribute(value(id)?)).0);
         columns.push(column(&format!("{name}_intensity"), ids.iter().map(intensity).collect::<Vec<_>>()));
     }
     columns.push(column("image", ids.iter().map(|id| image_name(id)).collect::<Vec<_>>()));

@@ -8,7 +8,7 @@ use risorius_formats::attribute::{AU_MAX_SCALE, MIN_RANGE};
 use risorius_formats::au::MAX_INTENSITY;
 use risorius_formats::nerfies::{self, Dataset, Extras, Polygons};
 use risorius_formats::pose_report::PoseMethod;
-use risorius_formats::{ActionUnit, AttributeSpec, AttributeTable, RegionTable, Reporter, Warning};
+use risorius_formats::{ActionUnit, Attribute, AttributeSpec, AttributeTable, RegionTable, Reporter, Warning};
 
 use super::{ImportOptions, Imported, Layout, refused};
 use crate::error::Result;
@@ -135,7 +135,7 @@ fn attribute_table(
             let mut spec = AttributeSpec::from_range(units[class], region, 0.0, MAX_INTENSITY, 0.0);
             spec.au_max_scale = AU_MAX_SCALE;
             spec.active = range.1 - range.0 >= MIN_RANGE;
-            spec.neutral = spec.intensity_from_attribute(0.0);
+            spec.neutral = spec.scale().intensity(Attribute(0.0)).0;
             attributes.push(spec);
         }
     }

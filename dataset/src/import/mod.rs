@@ -17,7 +17,7 @@ use risorius_formats::head_hull::world_from_head;
 use risorius_formats::intensities;
 use risorius_formats::nerfies::{self, Dataset};
 use risorius_formats::pose_report::PoseMethod;
-use risorius_formats::{ActionUnit, AttributeTable, ErrorKind, FormatError, Isometry, Reporter, package};
+use risorius_formats::{ActionUnit, Attribute, AttributeTable, ErrorKind, FormatError, Isometry, Reporter, package};
 
 use crate::build::DATASET_FILE;
 use crate::error::{DatasetError, Result};
@@ -261,7 +261,7 @@ fn rows_of(
             // A class that is not listed for an annotated frame counts as its resting value, as in the original.
             let intensity = |(k, spec): (usize, &risorius_formats::AttributeSpec)| {
                 let value = given.and_then(|g| g.get(&k)).copied();
-                value.map_or(spec.neutral, |v| spec.intensity_from_attribute(v))
+                value.map_or(spec.neutral, |v| spec.scale().intensity(Attribute(v)).0)
             };
             let intensities = given.map(|_| table.attributes.iter().enumerate().map(intensity).collect());
             let split = if dataset.val_ids.contains(id) {

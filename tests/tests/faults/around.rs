@@ -34,7 +34,7 @@ fn files_that_change_or_vanish_while_they_are_read() {
     let tracks = models().is_some();
     let cut = |path: &Path| fs::File::options().write(true).open(path).and_then(|f| f.set_len(1500)).unwrap();
     let remove = |path: &Path| fs::remove_file(path).unwrap();
-    let fit = "trainer -q fit dataset --out new --steps 30 --set finest_level=64 --set expression_vertices=16";
+    let fit = "trainer -q fit dataset --out new --steps 30 --set splat.gaussians=2000";
     let harms: [Harm<'_>; 7] = [
         ("tracker -q run take --threads 1", &["take"], "take/video.mp4", &cut, 600),
         ("tracker -q run take --threads 1", &["take"], "take/frames.csv", &remove, 300),

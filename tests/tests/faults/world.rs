@@ -55,7 +55,7 @@ pub(crate) fn world(made: Made) -> PathBuf {
             &[
                 "capture -q record --input capture/driver.mp4 --out driver",
                 "tracker -q import driver --openface capture/driver_openface.csv",
-                "trainer -q fit dataset --out run --steps 60 --set finest_level=64 --set expression_vertices=16",
+                "trainer -q fit dataset --out run --steps 60 --set splat.gaussians=2000",
             ],
         ),
     ];

@@ -161,7 +161,7 @@ fn fit_and_look(scene: &Scene, steps: &str, fields: &[&str]) -> Result<String, S
     for field in fields {
         let out = dir.path().join(field);
         let steps: &[&str] =
-            if *field == "brick" { &["--steps", steps] } else { &["--preset", "tiny", "--steps", "3"] };
+            if *field == "splat" { &["--steps", steps] } else { &["--preset", "tiny", "--steps", "3"] };
         let args = ["fit", text(&data), "--out", text(&out), "--field", field, "-q"];
         let (fitted, said) = survives("trainer", &[&args[..], steps].concat())?;
         if !fitted {
@@ -206,14 +206,14 @@ fn all(scenes: &[(&str, Change)], steps: &str, fields: &[&str]) {
 
 #[test]
 fn extreme_scenes_fit_or_are_refused() {
-    all(&QUICK, "12", &["brick"]);
+    all(&QUICK, "12", &["splat"]);
 }
 
 #[test]
 #[ignore = "minutes: the long part"]
 fn all_extreme_scenes_fit_or_are_refused_by_both_fields() {
-    all(&QUICK, "50", &["brick", "confies"]);
-    all(&MORE, "50", &["brick", "confies"]);
+    all(&QUICK, "50", &["splat", "confies"]);
+    all(&MORE, "50", &["splat", "confies"]);
 }
 
 /// From a video of one frame, and from AUs that never move or flip every frame, to a dataset.

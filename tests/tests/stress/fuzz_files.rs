@@ -16,7 +16,7 @@ use risorius_formats::nerfies::{self, Polygons};
 use risorius_formats::pose_report::PoseReport;
 use risorius_formats::run::RunManifest;
 use risorius_formats::views::ViewList;
-use risorius_formats::{Camera, RegionTable, Silent, TakeManifest, colmap, frame, openface};
+use risorius_formats::{Attribute, Camera, Intensity, RegionTable, Silent, TakeManifest, colmap, frame, openface};
 use risorius_tests::shared;
 use risorius_tracker::models::manifest::Manifest;
 use risorius_trainer::path::CameraPath;
@@ -244,7 +244,7 @@ fn json_files() {
         std::fs::write(&path, b).unwrap();
         answer(PoseReport::read(&path), |r| r.head_center.is_finite() && r.near.is_finite())
     });
-    let run = r#"{"version":1,"dataset":"data","dataset_sha256":"x","field":"brick","seed":1,"steps":10,"seconds":1.5,"written_by":"x"}"#;
+    let run = r#"{"version":1,"dataset":"data","dataset_sha256":"x","field":"splat","seed":1,"steps":10,"seconds":1.5,"written_by":"x"}"#;
     fuzz("RunManifest::read", &with_real(&[run], &[]), |b| {
         std::fs::write(&path, b).unwrap();
         answer(RunManifest::read(&path), |r| r.seconds.is_finite())
@@ -262,9 +262,10 @@ fn toml_files() {
     fuzz("AttributeTable::parse", &with_real(&[attributes], &[]), |b| {
         answer(AttributeTable::parse(&text(b)), |t| {
             t.attributes.iter().all(|a| {
-                (-1.0..=1.0).contains(&a.attribute_from_intensity(2.0))
-                    && a.intensity_from_attribute(0.3).is_finite()
-                    && a.uncapped_attribute_from_intensity(4.0).is_finite()
+                let scale = a.scale();
+                (-1.0..=1.0).contains(&scale.attribute(Intensity(2.0)).0)
+                    && scale.intensity(Attribute(0.3)).0.is_finite()
+                    && scale.activation(Intensity(4.0)).0.is_finite()
             })
         })
     });

@@ -43,7 +43,7 @@ const METHOD: &[Hazard] = &[
     (
         "division of eq. 1 by an empty or turned range",
         &[
-            ("formats/src/attribute.rs", "an_au_that_never_moves_is_inactive_and_minus_one"),
+            ("formats/src/au_scale.rs", "an_au_that_never_moves_rests"),
             ("poison_formats.rs", "attributes_and_curves_stay_in_their_ranges"),
         ],
     ),
@@ -129,50 +129,36 @@ const METHOD: &[Hazard] = &[
         "batches without annotations",
         &[
             ("trainer/src/loss.rs", "eq_17_matches_the_check_values"),
-            ("trainer/brick/src/fit/tests.rs", "nothing_that_a_capture_holds_makes_a_fit_lose_its_footing"),
+            ("long_run.rs", "scenes_that_lack_something_are_fitted"),
         ],
     ),
 ];
 
-/// Hazards of the brick field.
+/// Hazards of the Gaussian field.
 const FAST_FIELD: &[Hazard] = &[
-    ("occupancy that collapses", &[("trainer/brick/src/fit/tests.rs", "culling_keeps_what_is_seen")]),
     (
-        "stopping a ray before its surface",
-        &[("trainer/brick/src/rays_tests.rs", "skips_change_no_pixel_by_more_than_a_512th")],
-    ),
-    (
-        "overflow of the exponential of density",
+        "a Gaussian behind the camera, on it, as large as the world or as small as nothing",
         &[
-            ("trainer/brick/src/math.rs", "exp_and_density_stay_finite_and_right"),
-            ("poison_trainer.rs", "marches_end_and_tables_stay_finite"),
+            ("poison_trainer.rs", "pictures_are_finite_wherever_they_are_taken_from"),
+            ("poison_trainer.rs", "a_gaussian_of_extreme_numbers_spoils_no_picture"),
         ],
     ),
     (
-        "Adam on blocks that are seldom touched",
-        &[
-            ("trainer/brick/src/table.rs", "a_block_counts_its_own_steps"),
-            ("trainer/brick/src/table.rs", "a_gradient_of_nothing_moves_nothing"),
-        ],
+        "thousands of Gaussians in one tile, and none",
+        &[("poison_trainer.rs", "a_gaussian_of_extreme_numbers_spoils_no_picture")],
     ),
+    ("gradients merged in any order", &[("determinism.rs", "avatars_and_their_pictures_repeat_themselves")]),
     (
-        "gradients merged in any order",
+        "numbers of a file that is damaged or hostile",
         &[
-            ("trainer/brick/src/fit/tests.rs", "a_fit_repeats_itself_to_the_bit"),
-            ("determinism.rs", "avatars_and_their_pictures_repeat_themselves"),
-        ],
-    ),
-    (
-        "rays along an axis, or that go nowhere",
-        &[
-            ("trainer/brick/src/march.rs", "rays_along_an_axis_or_past_the_box_end"),
-            ("poison_trainer.rs", "marches_end_and_tables_stay_finite"),
+            ("fuzz_folders.rs", "avatars_with_a_hostile_description"),
+            ("fuzz_folders.rs", "avatars_with_hostile_arrays"),
         ],
     ),
     (
         "all-background pictures, one frame, one view",
         &[
-            ("trainer/brick/src/fit/tests.rs", "nothing_that_a_capture_holds_makes_a_fit_lose_its_footing"),
+            ("long_run.rs", "scenes_that_lack_something_are_fitted"),
             ("extreme_scenes.rs", "extreme_scenes_fit_or_are_refused"),
         ],
     ),

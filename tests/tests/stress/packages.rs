@@ -101,7 +101,7 @@ fn names_that_lead_out_are_refused() {
     let views = dir.path().join("views.json");
     let camera =
         r#"{"width":16,"height":16,"fx":20,"fy":20,"cx":8,"cy":8,"camera_from_world":[[1,0,0,0],[0,1,0,0],[0,0,1,2]]}"#;
-    let run_dir = tiny().join("brick");
+    let run_dir = tiny().join("splat");
     for (id, image, words) in [("../out", "a.png", "plain file name"), (".hidden", "a.png", "plain file name")] {
         std::fs::write(&views, format!(r#"{{"views":[{{"id":"{id}","image":"{image}","camera":{camera}}}]}}"#))
             .unwrap();

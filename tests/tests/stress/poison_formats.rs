@@ -7,8 +7,8 @@ use risorius_formats::nerfies::{self, Polygon, Polygons};
 use risorius_formats::similarity::umeyama;
 use risorius_formats::track::HeadPose;
 use risorius_formats::{
-    ActionUnit, AttributeSpec, Camera, Curves, FrameIndex, Intrinsics, Isometry, Landmarks68, SceneBounds, Silent,
-    Track, TrackRow, colmap, curves, head_hull, openface, polygon, smooth,
+    ActionUnit, Attribute, AttributeSpec, Camera, Curves, FrameIndex, Intensity, Intrinsics, Isometry, Landmarks68,
+    SceneBounds, Silent, Track, TrackRow, colmap, curves, head_hull, openface, polygon, smooth,
 };
 
 use crate::support::{Ledger, POISON, POISON_32, check, finite, finite_32};
@@ -140,12 +140,13 @@ fn attributes_and_curves_stay_in_their_ranges() {
     let mut ledger = Ledger::default();
     ledger.poke_32("AttributeSpec", [0.3, 4.0, 0.5, 2.0], |[low, high, neutral, value]| {
         let spec = AttributeSpec::from_range(ActionUnit(12), 2, low, high, neutral);
-        let all = [spec.attribute_from_intensity(value), spec.neutral_attribute()];
+        let scale = spec.scale();
+        let all = [scale.attribute(Intensity(value)).0, spec.neutral_attribute().0];
         check(all.iter().all(|v| (-1.0..=1.0).contains(v)), || format!("{all:?} from {spec:?}"))?;
-        let open = spec.uncapped_attribute_from_intensity(value);
-        check(open.is_finite() && open >= -1.0, || format!("uncapped {open} from {spec:?}"))?;
+        let activation = scale.activation(Intensity(value)).0;
+        check(activation.is_finite() && activation >= 0.0, || format!("activation {activation} from {spec:?}"))?;
         if spec.active {
-            finite_32([spec.intensity_from_attribute(value.clamp(-2.0, 2.0))].into_iter().filter(|_| !value.is_nan()))
+            finite_32([scale.intensity(Attribute(value.clamp(-2.0, 2.0))).0].into_iter().filter(|_| !value.is_nan()))
         } else {
             Ok(())
         }

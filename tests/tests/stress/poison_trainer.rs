@@ -1,16 +1,14 @@
-//! Poison through `risorius-trainer` and `risorius-brick`: sampling, encodings, networks, rendering, losses, the SE(3)
-//! exponential, scores, paths, Adam, marches and whole pictures.
+//! Poison through `risorius-trainer` and `risorius-splat`: sampling, encodings, networks, rendering, losses, the SE(3)
+//! exponential, scores, paths and whole pictures of Gaussians.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use glam::{DMat3, DVec2, DVec3};
 use image::RgbImage;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng as _;
-use risorius_brick::march::{March, crossing};
-use risorius_brick::math;
-use risorius_brick::render::Face;
-use risorius_brick::table::{Adam, Table, TableGrad};
 use risorius_formats::{Camera, Intrinsics, Isometry};
+use risorius_splat::model::{LANES, channel};
+use risorius_splat::{Gaussians, Outputs, Renderer, Skips};
 use risorius_trainer::config::Spacing;
 use risorius_trainer::eval::{icc, ms_ssim, mse, psnr_from_mse, ssim_map};
 use risorius_trainer::kernel::{self, MlpSpec, Products};
@@ -18,7 +16,7 @@ use risorius_trainer::path::{self, Orbit};
 use risorius_trainer::schedule::Schedule;
 use risorius_trainer::{encoding, loss, sampling, se3, volume};
 
-use crate::support::{Ledger, POISON, POISON_32, Verdict, ball, check, finite, finite_32};
+use crate::support::{Ledger, POISON, POISON_32, Verdict, block, check, finite, finite_32};
 
 fn tensor<const D: usize>(values: &[f32], shape: [usize; D]) -> Tensor<D> {
     Tensor::from_data(TensorData::new(values.to_vec(), shape), &Device::flex())
@@ -255,90 +253,103 @@ fn scores_and_paths_are_numbers_or_none() {
     ledger.close("scores and paths");
 }
 
-#[test]
-fn marches_end_and_tables_stay_finite() {
-    let mut ledger = Ledger::default();
-    ledger.poke_32("march::crossing", [0.1, 0.2, -3.0, 0.1, 0.05, 1.0], |a| {
-        let (origin, direction) = ([a[0], a[1], a[2]], [a[3], a[4], a[5]]);
-        let (enter, exit) = crossing(origin, direction);
-        let mut march = March::new(origin, direction, enter, exit, 2.0 / 96.0);
-        // A ray of unit direction meets no more samples than lie along the box's diagonal.
-        let length: f32 = direction.iter().map(|d| d * d).sum::<f32>().sqrt();
-        let most = if (0.5..2.0).contains(&length) { 400 } else { 1_000_000_000 };
-        let mut met = 0;
-        while met <= 400 && march.next_anywhere().is_some() {
-            met += 1;
-        }
-        check(met <= most, || format!("{enter} to {exit}, {met} samples and no end"))
-    });
-    ledger.poke_32("math::density, sigmoid, exp", [0.5], |[x]| {
-        let (s, e) = (math::sigmoid(x), math::exp(x));
-        if x.is_nan() {
-            return Ok(());
-        }
-        check((0.0..=1.0).contains(&s) && e.is_finite() && e >= 0.0 && math::density(x).is_finite(), || {
-            format!("{s} {e}")
-        })
-    });
-    ledger.poke_32("math::rotate", [0.1, 0.2, -0.3], |w| {
-        let p = math::rotate(w, [0.3, -0.2, 0.5]);
-        let angle = w.iter().map(|v| v * v).sum::<f32>();
-        if angle.is_finite() { finite_32(p) } else { Ok(()) }
-    });
-    ledger.poke_32("table::Table::step", [0.3, 1e-3], |[gradient, rate]| {
-        let mut table = Table::new(3, 16, || 0.5);
-        for _ in 0..3 {
-            let mut grad = TableGrad::default();
-            grad.fit(&table);
-            grad.values[16..32].fill(gradient);
-            grad.values[32..].fill(0.1);
-            grad.touched = vec![false, true, true];
-            table.step(&mut [&mut grad], &Adam::new(if rate.abs() < 1e3 { rate } else { 1e-3 }), 1);
-        }
-        check(table.values[..16].iter().all(|v| *v == 0.5), || "an untouched block moved".into())?;
-        finite_32(table.values[32..].iter().copied())?;
-        // A gradient whose square overflows may stop a number, but not lose it.
-        if gradient.is_finite() { finite_32(table.values[16..32].iter().copied()) } else { Ok(()) }
-    });
-    ledger.close("marches and tables");
+/// A picture of the block with all that a picture can hold.
+fn drawn(model: &Gaussians, camera: &Camera, activations: &[f32]) -> Verdict {
+    let outputs = Outputs { depth: true, masks: true, head: true };
+    let mut renderer = Renderer::new(Skips::default());
+    let picture = renderer.draw(model, camera, &Isometry::IDENTITY, activations, None, outputs);
+    let planes = picture.masks.iter().flatten().chain(&picture.depth).chain(&picture.transmittance);
+    finite_32(planes.chain(picture.head.as_flattened()).copied())?;
+    check(picture.transmittance.iter().all(|t| (-1e-5..=1.0001).contains(t)), || "light from nowhere".into())?;
+    check(picture.masks.iter().flatten().all(|m| (-1e-5..=1.0001).contains(m)), || "a mask beyond 1".into())
+}
+
+fn looking(at: [f64; 3], turn: f64) -> Camera {
+    Camera {
+        intrinsics: Intrinsics::pinhole(40, 32, 60.0),
+        camera_from_world: Isometry::new(DMat3::from_rotation_y(turn), DVec3::from(at)),
+    }
 }
 
 #[test]
 fn pictures_are_finite_wherever_they_are_taken_from() {
     let mut ledger = Ledger::default();
-    let model = ball(2, 4, 3);
-    let looks = |face: &Face<'_>, origin: [f32; 3], direction: [f32; 3]| -> Verdict {
-        let shown = face.render(origin, &[direction, [0.0, 0.0, 1.0]]);
-        let numbers = shown.iter().flat_map(|s| s.color.into_iter().chain([s.left, s.depth]).chain(s.masks));
-        finite_32(numbers)?;
-        check(shown.iter().all(|s| (-1e-5..=1.0001).contains(&s.left)), || format!("{shown:?}"))
-    };
-    let rest = Face::new(&model, &[-1.0, -1.0]);
-    ledger.poke_32("render::Face::render", [0.0, 0.1, -2.0, 0.05, 0.0, 1.0], |a| {
-        // Directions are of unit length, or none at all.
-        if a[3..].iter().any(|d| d.is_finite() && d.abs() > 2.0) {
-            return Ok(());
-        }
-        looks(&rest, [a[0], a[1], a[2]], [a[3], a[4], a[5]])
+    let model = block();
+    // In front, inside, beside, behind, far away.
+    ledger.poke("Renderer::draw, camera", [0.0, 0.01, 0.5, 0.1], |[x, y, z, turn]| {
+        let turn = if turn.is_finite() { turn.rem_euclid(7.0) } else { 0.0 };
+        drawn(&model, &looking([x, y, z], turn), &[0.4, 0.9])
     });
-    // Inside the head, on its wall, along its axes.
-    for origin in [[0.0; 3], [0.6, 0.0, 0.0], [-0.6, -0.6, -0.6], [0.0, 0.0, -0.6], [1e-30, 0.0, 0.0]] {
-        for direction in [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [0.577_35; 3], [1e-13, 0.0, 1.0]] {
-            ledger.one("render::Face::render", &format!("from {origin:?} along {direction:?}"), || {
-                looks(&rest, origin, direction)
+    for z in [0.0, -0.5, 1e-9, 1e-3, 0.02, 1e3, 1e9] {
+        ledger.one("Renderer::draw, camera", &format!("at {z} m"), || {
+            drawn(&model, &looking([0.0, 0.0, z], 0.0), &[0.0, 0.0])
+        });
+    }
+    ledger.poke("Renderer::draw, lens", [60.0, 60.0, 20.0, 16.0, 0.1, -0.05], |[fx, fy, cx, cy, k1, p1]| {
+        let mut camera = looking([0.0, 0.0, 0.5], 0.0);
+        let k = &mut camera.intrinsics;
+        (k.fx, k.fy, k.cx, k.cy) = (fx, fy, cx, cy);
+        (k.distortion.radial[0], k.distortion.tangential[0]) = (k1, p1);
+        drawn(&model, &camera, &[0.4, 0.9])
+    });
+    ledger.poke_32("Renderer::draw, activations", [0.5, 1.2], |a| drawn(&model, &looking([0.0, 0.0, 0.5], 0.0), &a));
+    for size in [[1, 1], [1, 500], [17, 3]] {
+        ledger.one("Renderer::draw, size", &format!("{size:?}"), || {
+            let mut camera = looking([0.0, 0.0, 0.5], 0.0);
+            (camera.intrinsics.width, camera.intrinsics.height) = (size[0], size[1]);
+            drawn(&model, &camera, &[0.4, 0.9])
+        });
+    }
+    ledger.close("pictures");
+}
+
+#[test]
+fn a_gaussian_of_extreme_numbers_spoils_no_picture() {
+    let mut ledger = Ledger::default();
+    let camera = looking([0.0, 0.0, 0.5], 0.0);
+    for c in 0..channel::COUNT {
+        for (name, value) in POISON_32.iter().filter(|(_, v)| v.is_finite()) {
+            ledger.one("Gaussians::base", &format!("channel {c} = {name}"), || {
+                let mut model = block();
+                model.base[c * LANES + 5] = *value;
+                drawn(&model, &camera, &[0.4, 0.9])
             });
         }
     }
-    ledger.poke_32("render::Face::new, edit", [0.5, -0.5], |a| {
-        let mut face = Face::new(&model, &[0.0, 0.0]);
-        face.edit(&a);
-        if a.iter().all(|v| v.abs() < 1e3) { looks(&face, [0.0, 0.0, -2.0], [0.0, 0.0, 1.0]) } else { Ok(()) }
+    for (name, value) in POISON_32.iter().filter(|(_, v)| v.is_finite()) {
+        ledger.one("Gaussians::deltas", name, || {
+            let mut model = block();
+            model.deltas[3] = *value;
+            drawn(&model, &camera, &[0.4, 0.9])
+        });
+        ledger.one("Gaussians::membership", name, || {
+            let mut model = block();
+            model.membership[3] = *value;
+            drawn(&model, &camera, &[0.4, 0.9])
+        });
+    }
+    ledger.one("Gaussians", "thousands in one pixel", || {
+        let mut model = block();
+        (0..model.groups() * LANES).for_each(|i| {
+            (0..3).for_each(|axis| model.base[(i / LANES * channel::COUNT + axis) * LANES + i % LANES] = 0.0);
+        });
+        let (base, membership, weight) = (model.base.clone(), model.membership.clone(), model.head_weight.clone());
+        for _ in 0..60 {
+            model.base.extend(&base);
+            model.membership.extend(&membership);
+            model.head_weight.extend(&weight);
+        }
+        drawn(&model, &camera, &[0.4, 0.9])
     });
-    let mut nowhere = model.clone();
-    nowhere.layout.head_box.half = 0.0;
-    ledger.one("render::Face::render", "a box of no size", || {
-        looks(&Face::new(&nowhere, &[0.0, 0.0]), [0.0, 0.0, -2.0], [0.0, 0.0, 1.0])
+    ledger.one("Gaussians", "none", || {
+        let mut model = block();
+        model.deformable = 0;
+        for part in
+            [&mut model.base, &mut model.deltas, &mut model.gates, &mut model.membership, &mut model.head_weight]
+        {
+            part.clear();
+        }
+        drawn(&model, &camera, &[0.4, 0.9])
     });
-    let _ = POISON_32;
-    ledger.close("pictures");
+    ledger.close("Gaussians");
 }

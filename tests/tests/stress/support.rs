@@ -2,7 +2,9 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use risorius_brick::{BackgroundFrame, Brick, HeadBox, Layout, math};
+use glam::{DMat3, DVec2, DVec3};
+use risorius_formats::{Camera, Intrinsics, Isometry};
+use risorius_splat::{Frame, Gaussians, Layout, Scene};
 use risorius_tests::run;
 pub(crate) use risorius_tests::{text, tiny};
 
@@ -132,28 +134,100 @@ pub(crate) fn survives(name: &str, args: &[&str]) -> Result<(bool, String), Stri
     }
 }
 
-/// An untrained avatar of a ball before a wall, whose one region is the ball's middle.
-pub(crate) fn ball(aus: usize, images: usize, seed: u64) -> Brick {
-    ball_with_finest(aus, images, seed, 128)
+/// Pixels along a side of the ball's pictures.
+const SIDE: u32 = 48;
+/// The ball's radius, and where the wall behind it is, metres.
+const RADIUS: f64 = 0.08;
+const WALL: f64 = 0.3;
+
+/// Pictures of a ball that changes its colour with one AU, before a wall; the ball's middle is the AU's region.
+pub(crate) struct Ball {
+    cameras: Vec<Camera>,
+    pictures: Vec<Vec<u8>>,
+    labels: Vec<Vec<u8>>,
 }
 
-/// The same with grids of up to `finest` vertices along an edge.
-pub(crate) fn ball_with_finest(aus: usize, images: usize, seed: u64, finest: usize) -> Brick {
-    let layout = Layout {
-        head_box: HeadBox { center: [0.0; 3], half: 0.6 },
-        background: Some(BackgroundFrame {
-            position: [0.0, 0.0, -2.0],
-            axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-            near: 2.6,
-            far: 7.0,
-            middle: [0.0; 2],
-            extent: [1.0; 2],
-        }),
-        region_of: vec![0; aus],
-        regions: 1,
-        images,
-        expression_vertices: 16,
-        finest,
+impl Ball {
+    /// So many views; the AU is raised in every other one.
+    pub(crate) fn new(views: usize) -> Self {
+        let camera = |view: usize| {
+            let turn = (view as f64 / views.max(1) as f64 - 0.5) * 0.8;
+            let camera_from_world = Isometry::new(DMat3::from_rotation_y(turn), DVec3::new(0.0, 0.0, 0.6));
+            Camera { intrinsics: Intrinsics::pinhole(SIDE, SIDE, 70.0), camera_from_world }
+        };
+        let cameras: Vec<Camera> = (0..views).map(camera).collect();
+        let seen = cameras.iter().enumerate().map(|(view, camera)| picture(camera, view.is_multiple_of(2)));
+        let (pictures, labels) = seen.unzip();
+        Self { cameras, pictures, labels }
+    }
+
+    /// What a fit is given.
+    pub(crate) fn scene(&self) -> Scene<'_> {
+        let frame = |view: usize| Frame {
+            camera: self.cameras[view],
+            room_from_head: Isometry::IDENTITY,
+            rgb: &self.pictures[view],
+            valid: None,
+            labels: Some(&self.labels[view]),
+            activations: Some(vec![f32::from(u8::from(view.is_multiple_of(2)))]),
+            landmarks_px: None,
+        };
+        Scene {
+            frames: (0..self.cameras.len()).map(frame).collect(),
+            region_of: vec![0],
+            regions: 1,
+            face_radius_m: RADIUS as f32,
+            head_hull: None,
+            plate: None,
+            neutral_frame: 1.min(self.cameras.len().saturating_sub(1)),
+        }
+    }
+}
+
+/// Colours and labels of the ball.
+fn picture(camera: &Camera, raised: bool) -> (Vec<u8>, Vec<u8>) {
+    let eye = camera.center();
+    let pixel = |i: u32| {
+        let d = camera.ray_direction(DVec2::new(f64::from(i % SIDE) + 0.5, f64::from(i / SIDE) + 0.5)).unwrap();
+        let nearest = eye - d * eye.dot(d);
+        let texture = |p: DVec3| ((p.x * 90.0).sin() * (p.y * 70.0).cos() * 40.0) as i32;
+        let inside = RADIUS * RADIUS - nearest.length_squared();
+        let (color, at) = match (inside > 0.0, raised) {
+            (true, true) => ([200, 60, 30], eye + d * (-eye.dot(d) - inside.sqrt())),
+            (true, false) => ([40, 70, 190], eye + d * (-eye.dot(d) - inside.sqrt())),
+            (false, _) => ([110, 130, 80], eye + d * ((WALL - eye.z) / d.z)),
+        };
+        let label = u8::from(nearest.length() < 0.6 * RADIUS);
+        (color.map(|c: i32| (c + texture(at)).clamp(0, 255) as u8), label)
     };
-    Brick::new(layout, seed, |p| u8::from(math::dot(p, p) < 0.2))
+    let pixels: Vec<([u8; 3], u8)> = (0..SIDE * SIDE).map(pixel).collect();
+    (pixels.iter().flat_map(|p| p.0).collect(), pixels.iter().map(|p| p.1).collect())
+}
+
+/// A model of 64 Gaussians in a block, of which the first half carries deltas of two AUs.
+pub(crate) fn block() -> Gaussians {
+    use risorius_splat::model::{DELTAS, LANES, REGIONS, channel};
+    let layout = Layout { region_of: vec![0, 1], regions: 2, latent: 0, images: 1 };
+    let (groups, deformable) = (4, 2);
+    let mut base = vec![0.0; groups * channel::COUNT * LANES];
+    for i in 0..groups * LANES {
+        let mut set = |c: usize, v: f32| base[(i / LANES * channel::COUNT + c) * LANES + i % LANES] = v;
+        for axis in 0..3 {
+            set(channel::MEAN + axis, 0.03 * ((i >> (2 * axis)) % 4) as f32 - 0.045);
+            set(channel::LOG_SCALE + axis, -4.5);
+            set(channel::COLOR + axis, ((i * (axis + 3)) % 7) as f32 / 7.0);
+        }
+        set(channel::QUATERNION, 1.0);
+        set(channel::OPACITY, 1.5);
+    }
+    let deltas = (0..deformable * 2 * DELTAS * LANES).map(|i| ((i * 37 % 19) as f32 - 9.0) * 1e-3).collect();
+    Gaussians {
+        layout,
+        deformable,
+        base,
+        deltas,
+        gates: vec![1.0; deformable * REGIONS * LANES],
+        membership: (0..groups * REGIONS * LANES).map(|i| (i % 5) as f32 - 2.0).collect(),
+        head_weight: vec![1.0; groups * LANES],
+    }
 }

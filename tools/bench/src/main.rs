@@ -36,8 +36,8 @@ struct Cli {
     /// Image scale of the dataset
     #[arg(long, default_value_t = 2)]
     scale: u32,
-    /// Time for the fit of the brick field
-    #[arg(long, default_value = "2m")]
+    /// Time for the fit of the Gaussian field
+    #[arg(long, default_value = "1m")]
     budget: String,
     /// Also fit the paper's networks (preset `cpu`) for so many steps
     #[arg(long, value_name = "STEPS")]
@@ -96,12 +96,12 @@ fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     let build = ["build", &take, "--balance", "--frames", &frames, "--scale", &scale, "--out", &dataset];
     bench.stage("dataset", "dataset", &build, |v| format!("{} frames", number(v, &["frames", "selected"])))?;
     let fit =
-        |v: &Value| format!("training rays {} dB, {} steps", number(v, &["train_psnr_db"]), number(v, &["steps"]));
+        |v: &Value| format!("training pixels {} dB, {} steps", number(v, &["train_psnr_db"]), number(v, &["steps"]));
     let rendered =
         |v: &Value| format!("{} pictures, {} s each", number(v, &["rendered"]), number(v, &["seconds_per_picture"]));
     let views = capture("test/views.json");
     let renders = work("renders");
-    bench.stage("fit (brick)", "trainer", &["fit", &dataset, "--out", &avatar, "--budget", &cli.budget], fit)?;
+    bench.stage("fit (splat)", "trainer", &["fit", &dataset, "--out", &avatar, "--budget", &cli.budget], fit)?;
     bench.stage("render", "trainer", &["render", &avatar, "--views", &views, "--out", &renders], rendered)?;
     bench.stage("eval", "trainer", &["eval", &avatar, "--views", &views, "--renders", &renders], scores)?;
     if let Some(steps) = cli.confies {

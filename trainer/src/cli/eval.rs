@@ -1,26 +1,29 @@
 //! `trainer eval`.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use risorius_console::{AgainArgs, Console, Failure, Inputs, Stage};
+use risorius_formats::intensities::Intensities;
+use risorius_formats::nerfies::{Dataset, rgb_path};
 use risorius_formats::pose_report::write_json;
 use risorius_formats::views::{View, ViewCamera, ViewList};
-use risorius_formats::{ActionUnit, Warning};
+use risorius_formats::{ActionUnit, Attribute, AttributeTable, Warning};
 use serde::Serialize;
 use serde_json::json;
 
 use super::{DeviceArgs, SkipArgs, need, run_inputs};
 use crate::avatar::Avatar;
-use crate::data::read_rgb;
+use crate::data::{intensities_of, read_rgb};
 use crate::error::TrainerError;
 use crate::eval::control::{Control, Decoupling};
 use crate::eval::report::{self, Report};
 use crate::eval::{Evaluation, Lpips, LpipsNetwork, lpips};
+use crate::field::Look;
 use crate::jobs::control::{ControlSettings, control, control_csv, decoupling, default_tracker, write_text};
 use crate::jobs::evaluate::{Judged, evaluate};
 use crate::jobs::interpolate;
-use crate::studio::Look;
 
 /// Options of `trainer eval`.
 #[derive(Debug, clap::Args)]
@@ -35,14 +38,11 @@ pub(super) struct EvalArgs {
     views: Option<PathBuf>,
     /// Render validation frames with the codes between their neighbours', and the attributes these codes give, instead
     /// of the annotated AUs: the paper's interpolation test, of `--field confies` only
-    #[arg(long, conflicts_with_all = ["views", "no_views", "baked"])]
+    #[arg(long, conflicts_with_all = ["views", "no_views"])]
     interpolate: bool,
     /// Score pictures that `trainer render` made before, instead of rendering
     #[arg(long, value_name = "DIR", requires = "views")]
     renders: Option<PathBuf>,
-    /// Judge the baked avatar (see `trainer render --baked`)
-    #[arg(long)]
-    baked: bool,
     /// LPIPS networks: alex, vgg or none; may be repeated [default: those that are fetched]
     #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = ["alex", "vgg", "none"])]
     lpips: Vec<String>,
@@ -107,7 +107,6 @@ pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let models = args.models.clone().unwrap_or_else(lpips::default_dir);
     let there = [LpipsNetwork::Alex, LpipsNetwork::Vgg].map(|n| Lpips::is_in(&models, n));
     let asked = json!({
-        "baked": args.baked,
         "lpips": args.lpips,
         "networks": there,
         "control": args.control,
@@ -133,12 +132,12 @@ pub(super) fn run(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let evaluation = match (&views, &avatar) {
         (None, _) => None,
         (Some((views, list)), Some(avatar)) if args.interpolate => {
-            let dataset = risorius_formats::nerfies::Dataset::read(list.parent().unwrap_or(Path::new(".")))?;
+            let dataset = Dataset::read(list.parent().unwrap_or(Path::new(".")))?;
             let places = interpolate::places(avatar, &args.run, &dataset)?;
             Some(evaluate(views, list, Judged::Between(avatar, &places, &renders), &mut networks, console)?)
         }
         (Some((views, list)), Some(avatar)) if args.renders.is_none() => {
-            let look = Look { skips: args.skips.skips()?, baked: args.baked, ..Look::default() };
+            let look = Look { skips: args.skips.skips()?, ..Look::default() };
             Some(evaluate(views, list, Judged::Avatar(avatar, look, &renders), &mut networks, console)?)
         }
         (Some((views, list)), _) => Some(evaluate(views, list, Judged::Folder(&renders), &mut networks, console)?),
@@ -269,25 +268,20 @@ fn human(document: &Document) -> String {
     text
 }
 
-/// The dataset's held-out frames as a view list: their cameras, their annotated AUs, their images.
+/// The dataset's held-out frames as a view list: their cameras, their images, and their AUs: the intensities that frames
+/// for fitting are fitted with, and where the dataset does not tell them, those of the annotated attributes.
 fn validation_views(run: &Path) -> Result<(ViewList, PathBuf), TrainerError> {
-    use risorius_formats::nerfies::{Dataset, rgb_path};
     let manifest = risorius_formats::run::RunManifest::read(run.join("run.json"))?;
     let saved = crate::saved::SavedModel::read(run)?;
     let dataset = Dataset::read(&manifest.dataset)?;
     let scale = saved.image_scale;
     let table = &saved.table;
     let mut views = Vec::new();
+    let intensities = Intensities::read(&manifest.dataset)?;
     let (_, held_out) = crate::data::split(&dataset, interpolate::interval_of(run));
     for id in &held_out {
         let Some(camera) = dataset.cameras.get(id) else { continue };
-        let number = id.parse::<u32>().ok();
-        let aus = dataset
-            .annotations
-            .iter()
-            .filter(|a| Some(a.frame) == number && a.class < table.attributes.len())
-            .map(|a| (table.attributes[a.class].unit, table.attributes[a.class].intensity_from_attribute(a.value)))
-            .collect();
+        let aus = aus_of(&dataset, intensities.as_ref(), table, id);
         views.push(View {
             id: id.clone(),
             image: Some(rgb_path("", scale, id)),
@@ -306,4 +300,56 @@ fn validation_views(run: &Path) -> Result<(ViewList, PathBuf), TrainerError> {
     }
     // Images are relative to the list's file; the list stands for a file in the dataset's folder.
     Ok((ViewList { views }, manifest.dataset.join("dataset.json")))
+}
+
+/// The intensities of a frame as they would be fitted, else those of its annotated attributes.
+fn aus_of(
+    dataset: &Dataset,
+    intensities: Option<&Intensities>,
+    table: &AttributeTable,
+    id: &str,
+) -> BTreeMap<ActionUnit, f32> {
+    let known = intensities.and_then(|i| intensities_of(i, table, id));
+    if let Some(row) = known {
+        return table.attributes.iter().zip(row).filter(|(a, _)| a.active).map(|(a, v)| (a.unit, v.0)).collect();
+    }
+    let number = id.parse::<u32>().ok();
+    let of_frame = dataset.annotations.iter().filter(|a| Some(a.frame) == number);
+    of_frame
+        .filter_map(|a| {
+            let spec = table.attributes.get(a.class)?;
+            Some((spec.unit, spec.scale().intensity(Attribute(a.value)).0))
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use risorius_formats::nerfies::Annotation;
+    use risorius_formats::{AttributeSpec, Intensity, SceneBounds};
+
+    use super::*;
+
+    #[test]
+    fn a_strong_expression_is_judged_as_it_was_fitted() {
+        let unit = ActionUnit(12);
+        let spec = AttributeSpec::from_range(unit, 0, 0.0, 5.0, 0.0);
+        let value = spec.scale().attribute(Intensity(4.5)).0;
+        let dataset = Dataset {
+            ids: vec!["000007".to_owned()],
+            train_ids: Vec::new(),
+            val_ids: Vec::new(),
+            metadata: BTreeMap::new(),
+            scene: SceneBounds { center_in_world: glam::DVec3::ZERO, scale: 1.0, near: 1.0, far: 2.0 },
+            cameras: BTreeMap::new(),
+            mapping: Vec::new(),
+            annotations: vec![Annotation { class: 0, frame: 7, value }],
+            extras: None,
+        };
+        let table = AttributeTable { regions: vec!["mouth".to_owned()], attributes: vec![spec] };
+        let intensities = Intensities { units: vec![unit], rows: [("000007".to_owned(), vec![4.5])].into() };
+        assert_eq!(aus_of(&dataset, Some(&intensities), &table, "000007"), [(unit, 4.5)].into());
+        // Attributes alone end at 80 % of the strongest.
+        assert_eq!(aus_of(&dataset, None, &table, "000007"), [(unit, 4.0)].into());
+    }
 }

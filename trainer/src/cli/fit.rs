@@ -11,9 +11,11 @@ use crate::config::{FitSettings, ModelKind, PRESETS};
 use crate::cost::StepCost;
 use crate::data::TrainData;
 use crate::error::TrainerError;
+use crate::fit;
+use crate::fit::confies::Limits;
 use crate::fit::estimate::{Estimate, estimate};
-use crate::fit::{self, Limits};
 use crate::model::region_groups;
+use crate::saved::check_field;
 
 /// Options of `trainer fit`.
 #[derive(Debug, clap::Args)]
@@ -26,7 +28,7 @@ pub(super) struct FitArgs {
     /// The run's folder, which appears with the first checkpoint
     #[arg(long, value_name = "RUN")]
     pub(super) out: PathBuf,
-    /// The field to fit: brick (fast) or confies (the paper's networks) [default: brick]
+    /// The field to fit: splat (Gaussians, fast) or confies (the paper's networks) [default: splat]
     #[arg(long, value_name = "NAME")]
     field: Option<String>,
     /// Sizes and schedules of confies: cpu, paper (its words), code (the released code) or tiny [default: cpu]
@@ -42,7 +44,7 @@ pub(super) struct FitArgs {
     /// Memory that confies may take, such as 2GiB: rays go through the networks in parts, with the same gradient
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     pub(super) memory_limit: Option<u64>,
-    /// Wall time to spend, such as 60s or 10m; schedules are stretched to it [default for brick: 2m]
+    /// Wall time to spend, such as 60s or 10m; schedules are stretched to it [default for splat: 1m]
     #[arg(long, value_name = "TIME", value_parser = parse_duration, conflicts_with = "steps")]
     pub(super) budget: Option<f64>,
     /// Steps; schedules are stretched to them
@@ -57,10 +59,10 @@ pub(super) struct FitArgs {
     /// Image scale to fit, such as 4 [default: the dataset's]
     #[arg(long, value_name = "S")]
     pub(super) image_scale: Option<u32>,
-    /// Steps between checkpoints [default for brick: by time, a minute or more apart]
+    /// Steps between checkpoints [default for splat: by time, a minute or more apart]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(super) checkpoint_every: Option<u64>,
-    /// Change a setting, as in settings.toml, such as step.grid_rate=0.005 or model.hyper_dims=4; may be repeated
+    /// Change a setting, as in settings.toml, such as splat.gaussians=50000 or model.hyper_dims=4; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     pub(super) set: Vec<String>,
     #[command(flatten)]
@@ -87,11 +89,24 @@ pub(super) const OUTPUTS: [&str; 2] = ["model.safetensors", "model.json"];
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct FitFile {
+    pub(super) field: Option<String>,
     pub(super) preset: Option<String>,
     pub(super) steps: Option<u64>,
+    /// As on the command line, such as `10m`.
+    pub(super) budget: Option<String>,
     pub(super) seed: Option<u64>,
     pub(super) rays: Option<usize>,
     pub(super) image_scale: Option<u32>,
+}
+
+impl FitFile {
+    /// Wall seconds, where steps are not asked for.
+    pub(super) fn budget_secs(&self) -> Result<Option<f64>, Failure> {
+        let parse = |text: &String| {
+            parse_duration(text).map_err(|e| Failure::usage(format!("risorius.toml, trainer.fit.budget: {e}")))
+        };
+        self.budget.as_ref().filter(|_| self.steps.is_none()).map(parse).transpose()
+    }
 }
 
 /// `[trainer]` of `risorius.toml`.
@@ -116,9 +131,9 @@ struct Plan<'a> {
 pub(super) fn run(args: &FitArgs, console: &Console) -> Result<(), Failure> {
     need(&args.dataset, "a dataset made by `dataset build`")?;
     match resolve_field(args)?.as_str() {
-        "brick" => super::fit_brick::run(args, console),
+        "splat" => super::fit_splat::run(args, console),
         "confies" => run_confies(args, console),
-        other => Err(Failure::usage(format!("there is no field `{other}`; fields: brick, confies"))),
+        other => Err(Failure::usage(format!("there is no field `{other}`; fields: splat, confies"))),
     }
 }
 
@@ -137,9 +152,11 @@ fn confies() -> String {
 /// The field of the run to resume, else what was asked for.
 fn resolve_field(args: &FitArgs) -> Result<String, Failure> {
     if !args.resume {
-        return Ok(args.field.clone().unwrap_or_else(|| "brick".to_owned()));
+        let file: TrainerFile = risorius_console::settings("trainer")?;
+        return Ok(args.field.clone().or(file.fit.field).unwrap_or_else(|| "splat".to_owned()));
     }
     let Begun { field } = read_settings(&args.out)?;
+    check_field(&field, &args.out)?;
     match &args.field {
         Some(asked) if *asked != field => {
             Err(Failure::input(format!("the run was begun with field `{field}`")).with_hint("leave out `--field`"))
@@ -165,11 +182,11 @@ pub(super) fn read_settings<T: serde::de::DeserializeOwned>(run: &std::path::Pat
 /// One line about a fit that ended.
 pub(super) fn describe(summary: &fit::FitSummary) -> String {
     format!(
-        "{}: {} steps in {:.0} s, {:.0} rays/s, {:.2} dB on the training rays",
+        "{}: {} steps in {:.0} s, {:.0} pixels/s, {:.2} dB on the training pixels",
         summary.run.display(),
         summary.steps,
         summary.seconds,
-        summary.rays_per_sec,
+        summary.pixels_per_sec,
         summary.train_psnr_db
     )
 }
@@ -230,10 +247,12 @@ fn run_confies(args: &FitArgs, console: &Console) -> Result<(), Failure> {
         console.finish(&plan, &plan.words());
         return Ok(());
     }
-    let limits = Limits { budget_secs: args.budget };
+    let file: TrainerFile = risorius_console::settings("trainer")?;
+    let by_file = if args.steps.is_none() { file.fit.budget_secs()? } else { None };
+    let limits = Limits { budget_secs: args.budget.or(by_file) };
     let Some((running, resume)) = work else { return Err(Failure::bug("a fit without a lock")) };
     running.mark()?;
-    let summary = fit::fit(&data, &settings, limits, &args.out, resume, &device, console)?;
+    let summary = fit::confies::fit(&data, &settings, limits, &args.out, resume, &device, console)?;
     running.finish(&OUTPUTS)?;
     console.finish(&summary, &describe(&summary));
     Ok(())

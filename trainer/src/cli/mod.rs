@@ -4,7 +4,7 @@ mod devices;
 mod eval;
 mod export;
 mod fit;
-mod fit_brick;
+mod fit_splat;
 mod render;
 mod transfer;
 mod view;
@@ -13,8 +13,8 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use clap::{Parser, Subcommand};
-use risorius_brick::Skips;
 use risorius_console::{Common, CommonArgs, Console, Failure, Inputs};
+use risorius_splat::Skips;
 
 use crate::error::TrainerError;
 
@@ -96,7 +96,7 @@ impl DeviceArgs {
 /// Says so where AUs cannot change anything.
 fn warn_if_unsteered(avatar: &crate::Avatar, console: &Console) {
     use risorius_formats::Reporter as _;
-    if !avatar.is_steered() {
+    if !avatar.field.is_steered() {
         let message = "this model has no attributes: every picture shows the resting frame's face, whatever the AUs";
         console.warn(risorius_formats::Warning::new("unsteered", message));
     }
@@ -105,7 +105,7 @@ fn warn_if_unsteered(avatar: &crate::Avatar, console: &Console) {
 /// What is to be skipped.
 #[derive(Clone, Debug, Default, clap::Args)]
 struct SkipArgs {
-    /// Do without a skip of the brick field, to measure it; may be repeated
+    /// Do without a skip of the Gaussian field, to measure it; may be repeated
     #[arg(long, value_name = "WHAT", value_parser = clap::builder::PossibleValuesParser::new(Skips::NAMES))]
     no_skip: Vec<String>,
 }

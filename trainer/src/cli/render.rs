@@ -10,11 +10,12 @@ use serde::Serialize;
 
 use super::{DeviceArgs, SkipArgs, need, parse_au};
 use crate::avatar::Avatar;
-use crate::jobs::render::{Maps, Shot, Sink, render, shots_of_views, warn_unknown};
+use crate::expression::{Expression, Unseen};
+use crate::field::Look;
+use crate::jobs::render::{Maps, Shot, Sink, render, shots_of_views};
 use crate::jobs::transfer::Driver;
 use crate::path::{self, CameraPath};
 use crate::presets::{PRESETS, Preset};
-use crate::studio::Look;
 
 /// Options of `trainer render`.
 #[derive(Debug, clap::Args)]
@@ -57,12 +58,9 @@ pub(super) struct RenderArgs {
     /// Pictures per second [default: the path's, else 15]
     #[arg(long, value_name = "FPS")]
     fps: Option<f64>,
-    /// Render every pixel, also where the view is finer than the images that were fitted
+    /// Render every pixel of a view that is finer than the images that were fitted, where `--field confies` would enlarge
     #[arg(long)]
     full: bool,
-    /// Bake the expression first: many times faster for many views, with an error that `eval --baked` measures
-    #[arg(long, conflicts_with_all = ["masks", "maps"])]
-    baked: bool,
     /// Also write depth of every view: 16-bit PNG, thousandths of a world unit along the ray
     #[arg(long, requires = "out")]
     depth: bool,
@@ -133,7 +131,7 @@ pub(super) fn run(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     let sink = Sink {
         folder: args.out.clone(),
         video: args.video.clone().map(|path| (path, fps)),
-        look: Look { skips: args.skips.skips()?, baked: args.baked, full: args.full, ..Look::default() },
+        look: Look { skips: args.skips.skips()?, full: args.full, ..Look::default() },
         maps: Maps { depth: args.depth || args.maps, masks: args.masks || args.maps, alpha: args.alpha },
         resume: args.resume,
     };
@@ -157,12 +155,8 @@ fn shots_of_options(
     fps: f64,
     console: &Console,
 ) -> Vec<Shot> {
-    let mut unknown = std::collections::BTreeSet::new();
-    let mut attributes = |aus: &std::collections::BTreeMap<ActionUnit, f32>| {
-        let (attributes, missing) = avatar.attributes_from_intensities(aus);
-        unknown.extend(missing);
-        attributes
-    };
+    let mut unseen = Unseen::default();
+    let mut face_of = |aus: &std::collections::BTreeMap<ActionUnit, f32>| unseen.expression(&avatar.saved.table, aus);
     let mut fixed = args.preset.map(Preset::intensities).unwrap_or_default();
     fixed.extend(args.au.iter().copied());
     let reference = Camera::from(&avatar.saved.default_camera);
@@ -176,25 +170,25 @@ fn shots_of_options(
     if cameras.is_empty() {
         cameras.push(reference);
     }
-    let mut faces: Vec<Vec<f32>> = moments.iter().filter_map(|m| Some(attributes(m.aus.as_ref()?))).collect();
+    let mut faces: Vec<Expression> = moments.iter().filter_map(|m| Some(face_of(m.aus.as_ref()?))).collect();
     if let Some(curves) = curves {
         let last = curves.times_secs.last().copied().unwrap_or(0.0);
         let at = |secs: f64| {
             let value = |values: &Vec<f32>| interpolate(&curves.times_secs, values, secs);
             curves.intensities.iter().map(|(unit, values)| (*unit, value(values))).collect()
         };
-        faces = (0..=(last * fps + 1e-6) as usize).map(|i| attributes(&at(i as f64 / fps))).collect();
+        faces = (0..=(last * fps + 1e-6) as usize).map(|i| face_of(&at(i as f64 / fps))).collect();
     }
     if faces.is_empty() || !fixed.is_empty() {
-        faces = vec![attributes(&fixed)];
+        faces = vec![face_of(&fixed)];
     }
-    warn_unknown(&unknown, console);
+    unseen.warn(console);
     let count = cameras.len().max(faces.len()).max(moments.len());
     (0..count)
         .map(|i| Shot {
             id: if count > 999 { format!("{i:06}") } else { format!("{i:03}") },
             camera: cameras[i.min(cameras.len() - 1)],
-            attributes: faces[i.min(faces.len() - 1)].clone(),
+            expression: faces[i.min(faces.len() - 1)].clone(),
         })
         .collect()
 }

@@ -9,9 +9,9 @@ use risorius_formats::{Take, smooth};
 
 use super::{DeviceArgs, need, run_inputs};
 use crate::avatar::Avatar;
+use crate::field::Look;
 use crate::jobs::render::Sink;
 use crate::jobs::transfer::{Driver, Named, Range, TransferSettings, transfer, transfer_views};
-use crate::studio::Look;
 
 /// Options of `trainer transfer`.
 #[derive(Debug, clap::Args)]

@@ -6,8 +6,8 @@ use glam::DVec2;
 use risorius_formats::Camera;
 use serde::Serialize;
 
-use crate::avatar::Render;
 use crate::error::{Result, TrainerError};
+use crate::field::Render;
 
 /// How far depth is off on the head, thousandths of a world unit: millimetres where the world is in metres.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -79,11 +79,12 @@ mod tests {
     use risorius_formats::{Intrinsics, Isometry};
 
     use super::*;
+    use crate::field::Outputs;
 
     #[test]
     fn depth_along_rays_is_compared_along_the_axis() {
         let camera = Camera { intrinsics: Intrinsics::pinhole(20, 20, 15.0), camera_from_world: Isometry::IDENTITY };
-        let mut render = Render::empty(&camera, 0);
+        let mut render = Render::empty(&camera, 0, Outputs { depth: true, ..Outputs::default() });
         for (i, depth) in render.depth.iter_mut().enumerate() {
             let pixel = DVec2::new((i % 20) as f64 + 0.5, (i / 20) as f64 + 0.5);
             // A wall at 0.5, seen 2 mm too far.

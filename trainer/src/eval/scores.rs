@@ -7,8 +7,8 @@ use image::RgbImage;
 use serde::Serialize;
 
 use super::LpipsNetwork;
-use crate::avatar::Render;
 use crate::error::{Result, TrainerError};
+use crate::field::Render;
 
 /// PSNR is capped here, also for identical images, so that it stays a number.
 pub const MAX_PSNR_DB: f64 = 100.0;

@@ -1,4 +1,5 @@
-//! Checkpoints: weights, Adam's moments, step and time, whole or not at all, the newest two kept.
+//! Checkpoints: folders of what a field needs to go on, with step and time, whole or not at all, the newest two kept.
+//! Those of the paper's networks hold weights and Adam's moments as records of Burn.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,8 +8,7 @@ use burn::module::Module as _;
 use burn::optim::ModuleOptimizer;
 use burn::store::ModuleRecord;
 use risorius_formats::FormatError;
-use risorius_formats::atomic::AtomicDir;
-use risorius_formats::pose_report::{json_error, write_json};
+use risorius_formats::pose_report::json_error;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Result, TrainerError};
@@ -91,26 +91,14 @@ pub fn list(run: &Path) -> Vec<(u64, PathBuf)> {
     found
 }
 
-/// Writes a checkpoint and removes the oldest ones.
-pub fn save(
-    run: &Path,
-    model: &ConfiesModel,
-    optimizer: &ModuleOptimizer,
-    step: u64,
-    seconds: f64,
-    dataset_sha256: &str,
-) -> Result<()> {
-    let path = folder(run, step);
-    let dir = AtomicDir::create(&path)?;
-    let weights = model.clone().into_record().into_bytes().map_err(|e| failed(&path, "pack the weights", &e))?;
-    let moments = optimizer.into_bytes().map_err(|e| failed(&path, "pack the optimiser", &e))?;
+/// Writes weights and moments into a checkpoint's folder.
+pub(crate) fn write(folder: &Path, model: &ConfiesModel, optimizer: &ModuleOptimizer) -> Result<()> {
+    let weights = model.clone().into_record().into_bytes().map_err(|e| failed(folder, "pack the weights", &e))?;
+    let moments = optimizer.into_bytes().map_err(|e| failed(folder, "pack the optimiser", &e))?;
     for (name, bytes) in [("weights.bpk", &weights), ("optimizer.bpk", &moments)] {
-        risorius_formats::atomic::write_file(dir.path().join(name), bytes)?;
+        risorius_formats::atomic::write_file(folder.join(name), bytes)?;
     }
-    let state = CheckpointState { version: 1, step, seconds, dataset_sha256: dataset_sha256.to_owned() };
-    write_json(dir.path().join("state.json"), &state)?;
-    dir.commit()?;
-    prune(run)
+    Ok(())
 }
 
 /// Loads the newest checkpoint into a fresh model and optimiser.

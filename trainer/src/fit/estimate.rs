@@ -5,8 +5,9 @@ use std::time::Instant;
 use burn::tensor::Device;
 use serde::Serialize;
 
+use super::confies::{adam, with_gradients};
+use super::norms;
 use super::step::{gradients, host};
-use super::{adam, norms, with_gradients};
 use crate::config::FitSettings;
 use crate::cost::StepCost;
 use crate::data::TrainData;

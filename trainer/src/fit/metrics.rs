@@ -1,6 +1,5 @@
 //! `RUN/metrics.jsonl`: one line per logged step, unweighted terms; the same numbers as TensorBoard events.
 
-use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -8,41 +7,31 @@ use std::path::{Path, PathBuf};
 use risorius_formats::{FormatError, atomic};
 use serde::{Deserialize, Serialize};
 
-use super::StepNumbers;
-use super::norms::GradientNorms;
 use super::tensorboard::EventFile;
 use crate::error::Result;
 
 /// Steps between lines.
 const LOG_EVERY: u64 = 10;
 
-/// One line.
+/// One line; `N` are the field's own numbers.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct MetricsLine {
+pub struct Line<N> {
     /// The step, from 1.
     pub step: u64,
     /// Wall seconds since the fit began, resumed parts included.
     pub seconds: f64,
-    /// Learning rate.
-    pub learning_rate: f64,
-    /// L_recon of the coarse level.
-    pub reconstruction_coarse: f64,
-    /// L_recon of the fine level.
-    pub reconstruction: f64,
-    /// PSNR of the step's rays, dB.
+    /// PSNR of the step's pixels, dB.
     pub psnr_db: f64,
-    /// L_mask, both levels.
-    pub mask: f64,
-    /// L_attr, both levels.
-    pub attribute: f64,
-    /// L_lat.
-    pub latent: f64,
-    /// Weight of L_attr.
-    pub attribute_weight: f64,
-    /// ‖∇‖₂ of everything.
-    pub gradient_norm: f64,
-    /// ‖∇‖₂ by part of the model.
-    pub gradient_norms: BTreeMap<String, f64>,
+    /// The rest.
+    #[serde(flatten)]
+    pub numbers: N,
+}
+
+impl<N> Line<N> {
+    /// The line of a step whose mean squared colour error is `mse`.
+    pub fn new(step: u64, seconds: f64, mse: f64, numbers: N) -> Self {
+        Self { step, seconds: (seconds * 1e3).round() / 1e3, psnr_db: crate::eval::psnr_from_mse(mse), numbers }
+    }
 }
 
 /// What every line has.
@@ -76,34 +65,6 @@ impl MetricsLog {
         atomic::write_file(&path, &kept)?;
         let file = OpenOptions::new().append(true).open(&path).map_err(|e| FormatError::io(&path, "open", &e))?;
         Ok(Self { path, writer: BufWriter::new(file), events: EventFile::create(run)? })
-    }
-
-    /// Writes the numbers of the paper's networks every few steps.
-    pub fn record(
-        &mut self,
-        step: u64,
-        seconds: f64,
-        [learning_rate, attribute_weight]: [f64; 2],
-        n: &StepNumbers,
-        norms: &GradientNorms,
-    ) -> Result<()> {
-        if !Self::is_due(step) {
-            return Ok(());
-        }
-        self.write(&MetricsLine {
-            step,
-            seconds: (seconds * 1e3).round() / 1e3,
-            learning_rate,
-            reconstruction_coarse: n.reconstruction_coarse,
-            reconstruction: n.reconstruction_fine,
-            psnr_db: crate::eval::psnr_from_mse(n.reconstruction_fine),
-            mask: n.mask,
-            attribute: n.attribute,
-            latent: n.latent,
-            attribute_weight,
-            gradient_norm: norms.total(),
-            gradient_norms: norms.parts.clone(),
-        })
     }
 
     /// Whether this step has a line.

@@ -1,6 +1,8 @@
-//! The loop: draw rays, render both levels, sum the losses, step the optimiser, write what happened.
+//! The loop of a fit, the same for all fields: steps until they or the time are over, checkpoints, metrics, and a guard
+//! against numbers that are none.
 
 pub mod checkpoint;
+pub mod confies;
 pub mod estimate;
 pub mod metrics;
 pub mod norms;
@@ -10,23 +12,27 @@ pub mod tensorboard;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use burn::module::Module as _;
-use burn::optim::{AdamConfig, ModuleOptimizer};
-use burn::tensor::Device;
+use risorius_formats::atomic::AtomicDir;
+use risorius_formats::pose_report::write_json;
 use risorius_formats::run::RunManifest;
 use risorius_formats::{Reporter, Warning};
 use serde::Serialize;
 
-use crate::config::FitSettings;
+use self::checkpoint::CheckpointState;
+use self::metrics::{Line, MetricsLog, Recent};
 use crate::data::TrainData;
-use crate::devices;
 use crate::error::{Result, TrainerError};
-use crate::model::{ConfiesModel, region_groups};
-use crate::saved::SavedModel;
-use crate::space::NetSpace;
+use crate::field::FieldFit;
 
 pub use step::{StepNumbers, gradients, losses};
 pub(crate) use step::{host, points, rows};
+
+/// Steps between notes.
+const NOTE_EVERY: u64 = 100;
+/// Checkpoints by time are at least this far apart, seconds …
+const LEAST_SECS: f64 = 60.0;
+/// … and at least this many times as far as one takes.
+const LEAST_TIMES: f64 = 40.0;
 
 /// What a fit did.
 #[derive(Clone, Debug, Serialize)]
@@ -37,172 +43,156 @@ pub struct FitSummary {
     pub steps: u64,
     /// Wall seconds in total, resumed parts included.
     pub seconds: f64,
-    /// Rays per second of this call.
-    pub rays_per_sec: f64,
-    /// Samples along these rays per second, forward and backward.
-    pub samples_per_sec: f64,
-    /// PSNR of the last steps' rays, dB.
+    /// Pixels (or rays) per second of this call.
+    pub pixels_per_sec: f64,
+    /// PSNR of the last steps' pixels, dB.
     pub train_psnr_db: f64,
-    /// Trainable numbers.
+    /// Numbers that were learned.
     pub parameters: usize,
     /// Training frames.
     pub frames: usize,
     /// Image scale that was fitted.
     pub scale: u32,
-    /// Whether the schedule ended (or a budget or Ctrl-C ended it early).
+    /// Whether the fit ended by its length (or a limit of time or Ctrl-C ended it early).
     pub finished: bool,
 }
 
-/// When a fit ends before its schedule does.
+/// How long a fit is.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Limits {
-    /// Wall seconds for the fit; schedules are fitted to it by the measured pace.
+pub struct Length {
+    /// Steps, which are exact.
+    pub steps: Option<u64>,
+    /// Wall seconds. Without steps they are the fit's length, resumed parts included; with steps a limit on this call.
     pub budget_secs: Option<f64>,
 }
 
-/// A fit in progress.
-struct State {
-    model: ConfiesModel,
-    optimizer: ModuleOptimizer,
-    step: u64,
-    seconds_before: f64,
+/// A fit's frame: all that the loop needs to know besides the field.
+#[derive(Clone, Copy, Debug)]
+pub struct Plan<'a> {
+    /// The dataset.
+    pub data: &'a TrainData,
+    /// The run's folder.
+    pub run: &'a Path,
+    /// The field's name.
+    pub field: &'static str,
+    /// The seed, for the run's manifest.
+    pub seed: u64,
+    /// How long.
+    pub length: Length,
+    /// Steps between checkpoints; 0 writes one when a minute has passed and it costs no more than a fortieth of the time.
+    pub checkpoint_every: u64,
+    /// When the fit began: making a field ready is part of its time.
+    pub started: Instant,
+    /// Wall seconds of the parts before.
+    pub seconds_before: f64,
 }
 
-/// Fits an avatar of `data` into the folder `run`.
-///
-/// With `resume`, goes on from the newest checkpoint; without, an existing run is refused by the caller.
-pub fn fit(
-    data: &TrainData,
-    settings: &FitSettings,
-    limits: Limits,
-    run: &Path,
-    resume: bool,
-    device: &Device,
-    reporter: &dyn Reporter,
-) -> Result<FitSummary> {
-    settings.validate()?;
-    let mut settings = settings.clone();
-    devices::check(device, settings.model.products)?;
-    let device = with_gradients(device, &settings);
-    let space = NetSpace::new(&data.dataset.scene, data.extras(), settings.model.head_radius);
-    let mut state = start(data, &settings, run, resume, &device)?;
-    let parameters = state.model.num_params();
-    reporter.note(&format!(
-        "{} frames of {}×{}, {} attributes in {} regions, {parameters} parameters",
-        data.frames.len(),
-        data.frames[0].camera.intrinsics.width,
-        data.frames[0].camera.intrinsics.height,
-        data.table.attributes.len(),
-        data.table.regions.len(),
-    ));
-
-    let started = Instant::now();
-    if let (Some(budget), 0) = (limits.budget_secs, state.step) {
-        settings = fit_to_budget(data, &space, settings, budget, &state.model, reporter)?;
+impl Plan<'_> {
+    fn seconds(&self) -> f64 {
+        self.seconds_before + self.started.elapsed().as_secs_f64()
     }
-    settings_to_disk(&settings, run)?;
-    let first_step = state.step;
-    let mut log = metrics::MetricsLog::open(run, first_step)?;
-    let mut recent = metrics::Recent::default();
-    reporter.stage("fit", Some(settings.steps));
-    reporter.advance(first_step);
-    let mut stopped = false;
-    let training_started = Instant::now();
-    while state.step < settings.steps {
-        if reporter.cancelled() || limits.budget_secs.is_some_and(|b| started.elapsed().as_secs_f64() > b * 1.05) {
-            stopped = true;
-            break;
+
+    /// The share of the fit that lies behind, when a save still takes `save_secs`.
+    fn done(&self, step: u64, save_secs: f64) -> f64 {
+        match (self.length.steps, self.length.budget_secs) {
+            (Some(steps), _) => step as f64 / steps.max(1) as f64,
+            (None, Some(budget)) => (self.seconds() + save_secs) / budget,
+            (None, None) => 1.0,
         }
-        let step = state.step + 1;
-        let (grads, numbers) = gradients(&state.model, data, &space, &settings, step)?;
-        let norms = norms::GradientNorms::of(&state.model, &grads);
-        norms.check_finite(step)?;
-        state.model = state.optimizer.step(settings.learning_rate.at(step), state.model, grads);
-        state.step = step;
-        recent.add(numbers.reconstruction_fine);
-        let seconds = state.seconds_before + started.elapsed().as_secs_f64();
-        let rates = [settings.learning_rate.at(step), settings.attribute_weight.at(step)];
-        log.record(step, seconds, rates, &numbers, &norms)?;
-        reporter.advance(1);
-        if step % 50 == 0 {
+    }
+
+    /// Whether a fit of so many steps has used up its time.
+    fn is_out_of_time(&self) -> bool {
+        let limit = self.length.budget_secs.filter(|_| self.length.steps.is_some());
+        limit.is_some_and(|budget| self.started.elapsed().as_secs_f64() > budget * 1.05)
+    }
+}
+
+/// Steps a field until the fit's end, writing checkpoints, metrics and the avatar into the run's folder.
+pub fn drive<F: FieldFit>(fit: &mut F, plan: &Plan<'_>, reporter: &dyn Reporter) -> Result<FitSummary> {
+    let first_step = fit.step();
+    let mut log = MetricsLog::open(plan.run, first_step)?;
+    let mut recent = Recent::default();
+    // In thousandths where the length in steps is not known.
+    let total = plan.length.steps.unwrap_or(1000);
+    reporter.stage("fit", Some(total));
+    let begun = Instant::now();
+    let mut save_secs = (0.02 * plan.length.budget_secs.unwrap_or(0.0)).min(2.0);
+    let (mut shown, mut pixels, mut saved_at) = (0, 0usize, plan.seconds());
+    let finished = loop {
+        let done = plan.done(fit.step(), save_secs);
+        let reached = ((done * total as f64) as u64).min(total);
+        reporter.advance(reached.saturating_sub(shown));
+        shown = shown.max(reached);
+        if done >= 1.0 {
+            break true;
+        }
+        if reporter.cancelled() || plan.is_out_of_time() {
+            break false;
+        }
+        let report = fit.advance(done)?;
+        let step = fit.step();
+        check_finite(step, &report.checked)?;
+        pixels += report.pixels;
+        recent.add(report.mse);
+        if MetricsLog::is_due(step) {
+            log.write(&Line::new(step, plan.seconds(), report.mse, report.numbers))?;
+        }
+        if step.is_multiple_of(NOTE_EVERY) {
             reporter.note(&format!("step {step}: {:.2} dB", recent.psnr_db()));
         }
-        if step % settings.checkpoint_every == 0 || step == settings.steps {
-            save(&state, seconds, data, &settings, &space, run)?;
+        let due = match plan.checkpoint_every {
+            0 => plan.seconds() - saved_at >= (LEAST_TIMES * save_secs).max(LEAST_SECS),
+            every => step.is_multiple_of(every) && plan.length.steps != Some(step),
+        };
+        if due {
+            let saving = Instant::now();
+            save(fit, plan, false)?;
+            save_secs = saving.elapsed().as_secs_f64();
+            saved_at = plan.seconds();
         }
-    }
-    let seconds = state.seconds_before + started.elapsed().as_secs_f64();
+    };
     log.finish()?;
-    let finished = state.step >= settings.steps;
+    save(fit, plan, true)?;
+    if !finished && reporter.cancelled() {
+        return Err(TrainerError::Interrupted { done: format!("step {}", fit.step()) });
+    }
     if !finished {
-        save(&state, seconds, data, &settings, &space, run)?;
+        let message = format!("the time ran out at step {} of {total}", fit.step());
+        reporter.warn(Warning::new("budget", message));
     }
-    if stopped && reporter.cancelled() {
-        return Err(TrainerError::Interrupted { done: format!("step {} of {}", state.step, settings.steps) });
-    }
-    if stopped {
-        reporter.warn(Warning::new("budget", format!("the time ran out at step {} of {}", state.step, settings.steps)));
-    }
-    let rays = (state.step - first_step) as f64 * settings.rays as f64;
     Ok(FitSummary {
-        run: run.to_owned(),
-        steps: state.step,
-        seconds,
-        rays_per_sec: rays / training_started.elapsed().as_secs_f64().max(1e-9),
-        // The fine pass looks at the coarse samples once more.
-        samples_per_sec: rays * (2 * settings.coarse_samples + settings.fine_samples) as f64
-            / training_started.elapsed().as_secs_f64().max(1e-9),
+        run: plan.run.to_owned(),
+        steps: fit.step(),
+        seconds: plan.seconds(),
+        pixels_per_sec: pixels as f64 / begun.elapsed().as_secs_f64().max(1e-9),
         train_psnr_db: recent.psnr_db(),
-        parameters,
-        frames: data.frames.len(),
-        scale: data.scale,
+        parameters: fit.parameters(),
+        frames: plan.data.frames.len(),
+        scale: plan.data.scale,
         finished,
     })
 }
 
-fn start(data: &TrainData, settings: &FitSettings, run: &Path, resume: bool, device: &Device) -> Result<State> {
-    let groups = region_groups(&data.table);
-    let model = ConfiesModel::new(&settings.model, &groups, data.frames.len(), settings.seed, device);
-    let optimizer = adam();
-    if !resume {
-        return Ok(State { model, optimizer, step: 0, seconds_before: 0.0 });
+/// Fails where one of a step's numbers is not finite, naming it.
+pub(crate) fn check_finite(step: u64, numbers: &[(String, f64)]) -> Result<()> {
+    match numbers.iter().find(|(_, value)| !value.is_finite()) {
+        Some((what, _)) => Err(TrainerError::NotFinite { step, what: what.clone() }),
+        None => Ok(()),
     }
-    let loaded = checkpoint::load(run, model, optimizer, &data.sha256)?;
-    Ok(State { model: loaded.model, optimizer: loaded.optimizer, step: loaded.step, seconds_before: loaded.seconds })
 }
 
-/// The device, with gradients recorded as the settings ask for.
-fn with_gradients(device: &Device, settings: &FitSettings) -> Device {
-    let device = device.clone().autodiff();
-    if settings.recompute { device.gradient_checkpointing() } else { device }
-}
-
-/// Adam as the family sets it (fact sheet §2.6): β 0.9 and 0.999, ε 1e-8, bias correction, no decay, no clipping.
-fn adam() -> ModuleOptimizer {
-    AdamConfig::new().with_beta_1(0.9).with_beta_2(0.999).with_epsilon(1e-8).init()
-}
-
-/// Times a few steps on a throw-away copy and stretches the schedules to what fits into `budget` seconds.
-fn fit_to_budget(
-    data: &TrainData,
-    space: &NetSpace,
-    settings: FitSettings,
-    budget: f64,
-    model: &ConfiesModel,
-    reporter: &dyn Reporter,
-) -> Result<FitSettings> {
-    const PROBES: u32 = 6;
-    let probe = |step: u64| -> Result<()> { gradients(model, data, space, &settings, step).map(drop) };
-    probe(1)?;
-    let started = Instant::now();
-    for step in 2..2 + u64::from(PROBES) {
-        probe(step)?;
-    }
-    // The optimiser's step and the log are not in the probe; they take about a tenth.
-    let per_step = started.elapsed().as_secs_f64() / f64::from(PROBES) * 1.1;
-    let steps = ((budget / per_step) as u64).clamp(20, 2_000_000);
-    reporter.note(&format!("{:.0} ms per step: {steps} steps fit into {budget:.0} s", per_step * 1e3));
-    Ok(settings.with_steps(steps))
+/// Says what is fitted.
+pub(crate) fn note_scene(data: &TrainData, parameters: usize, reporter: &dyn Reporter) {
+    let i = &data.frames[0].camera.intrinsics;
+    reporter.note(&format!(
+        "{} frames of {}×{}, {} attributes in {} regions, {parameters} parameters to begin with",
+        data.frames.len(),
+        i.width,
+        i.height,
+        data.table.attributes.len(),
+        data.table.regions.len(),
+    ));
 }
 
 pub(crate) fn settings_to_disk(settings: &impl Serialize, run: &Path) -> Result<()> {
@@ -214,30 +204,25 @@ pub(crate) fn settings_to_disk(settings: &impl Serialize, run: &Path) -> Result<
     Ok(risorius_formats::atomic::write_file(path, text.as_bytes())?)
 }
 
-fn save(
-    state: &State,
-    seconds: f64,
-    data: &TrainData,
-    settings: &FitSettings,
-    space: &NetSpace,
-    run: &Path,
-) -> Result<()> {
-    checkpoint::save(run, &state.model, &state.optimizer, state.step, seconds, &data.sha256)?;
-    SavedModel::describe_confies(data, settings, space).write(run, &state.model)?;
-    manifest(data, "confies", settings.seed, state.step, seconds).write(run.join("run.json"))?;
-    Ok(())
-}
-
-/// `RUN/run.json`.
-pub(crate) fn manifest(data: &TrainData, field: &str, seed: u64, steps: u64, seconds: f64) -> RunManifest {
-    RunManifest {
+/// A checkpoint, the avatar, and the run's manifest.
+fn save<F: FieldFit>(fit: &mut F, plan: &Plan<'_>, last: bool) -> Result<()> {
+    let (data, run, step, seconds) = (plan.data, plan.run, fit.step(), plan.seconds());
+    let dir = AtomicDir::create(checkpoint::folder(run, step))?;
+    fit.write_checkpoint(dir.path())?;
+    let state = CheckpointState { version: 1, step, seconds, dataset_sha256: data.sha256.clone() };
+    write_json(dir.path().join("state.json"), &state)?;
+    dir.commit()?;
+    checkpoint::prune(run)?;
+    fit.write_avatar(run, last)?;
+    let manifest = RunManifest {
         version: 1,
         dataset: data.dir.clone(),
         dataset_sha256: data.sha256.clone(),
-        field: field.to_owned(),
-        seed,
-        steps,
+        field: plan.field.to_owned(),
+        seed: plan.seed,
+        steps: step,
         seconds,
         written_by: format!("risorius {}", env!("CARGO_PKG_VERSION")),
-    }
+    };
+    Ok(manifest.write(run.join("run.json"))?)
 }

@@ -11,15 +11,17 @@ use std::process::Command;
 use risorius_formats::openface::{self, ReadOptions};
 use risorius_formats::take::{SourceKind, TAKE_VERSION, TakeManifest};
 use risorius_formats::{
-    ActionUnit, Camera, ErrorKind, FormatError, FrameIndex, FrameRecord, Reporter, Take, atomic, frame, hash,
+    ActionUnit, Camera, ErrorKind, FormatError, FrameIndex, FrameRecord, Intensity, Reporter, Take, atomic, frame, hash,
 };
 
 use super::render::write_png;
-use crate::avatar::{Avatar, Render};
+use crate::avatar::Avatar;
 use crate::error::{Result, TrainerError};
 use crate::eval::control::{Control, ControlFrame, Decoupling, Spill};
+use crate::expression::Expression;
+use crate::field::{Look, Outputs, Render};
 use crate::path::Orbit;
-use crate::studio::{Look, Studio};
+use crate::studio::Studio;
 
 /// Frames per second of the sweep's take.
 const FPS: f64 = 25.0;
@@ -28,7 +30,7 @@ const REST: (usize, usize) = (12, 2);
 /// The tracker sees pictures enlarged to this many times the fitted size.
 const ENLARGED: u32 = 2;
 /// Masks below this are 0 of 255 levels.
-const OUTSIDE: f32 = risorius_brick::render::NOTHING;
+const OUTSIDE: f32 = 0.5 / 255.0;
 /// Masks below this hardly count.
 const FAINT: f32 = 0.02;
 
@@ -57,13 +59,13 @@ pub fn default_tracker() -> PathBuf {
 struct Planned {
     view: usize,
     swept: Option<usize>,
-    asked: Vec<f32>,
+    asked: Expression,
 }
 
-/// Every frame of the sweep; `asked` has an intensity for each of the table's AUs.
+/// Every frame of the sweep.
 fn plan(avatar: &Avatar, settings: &ControlSettings) -> Vec<Planned> {
     let table = &avatar.saved.table.attributes;
-    let neutral: Vec<f32> = table.iter().map(|a| a.neutral).collect();
+    let neutral = avatar.neutral();
     let mut frames = Vec::new();
     for view in 0..settings.views.max(1) {
         let rest = |frames: &mut Vec<Planned>, count| {
@@ -74,8 +76,7 @@ fn plan(avatar: &Avatar, settings: &ControlSettings) -> Vec<Planned> {
             let steps = settings.steps.max(2);
             let up = (0..steps).map(|i| i as f32 / (steps - 1) as f32);
             for share in up.clone().chain(up.rev()) {
-                let mut asked = neutral.clone();
-                asked[k] = spec.neutral + (spec.au_max - spec.neutral) * share;
+                let asked = neutral.with(k, Intensity(spec.neutral + (spec.au_max - spec.neutral) * share));
                 frames.push(Planned { view, swept: Some(k), asked });
             }
             rest(&mut frames, REST.1);
@@ -147,7 +148,7 @@ pub fn control(avatar: &Avatar, settings: &ControlSettings, folder: &Path, repor
         .enumerate()
         .map(|(i, f)| ControlFrame {
             swept: f.swept.and_then(|k| active.iter().position(|&a| a == k)),
-            asked: active.iter().map(|&k| f64::from(f.asked[k])).collect(),
+            asked: active.iter().map(|&k| f64::from(f.asked.0[k].0)).collect(),
             read: active.iter().map(|&k| read(i, k)).collect(),
         })
         .collect();
@@ -177,7 +178,7 @@ fn render_take(avatar: &Avatar, frames: &[Planned], folder: &Path, reporter: &dy
             return Err(TrainerError::Interrupted { done: format!("{i} of {} frames", frames.len()) });
         }
         let camera = enlarged(&view_camera(avatar, planned.view));
-        let (picture, _) = studio.picture_and_maps(&camera, &attributes(avatar, &planned.asked), reporter)?;
+        let (picture, _) = studio.picture_and_maps(&camera, &planned.asked, reporter)?;
         let path = images.join(FrameIndex(i as u32).image_name());
         write_png(&path, &picture)?;
         hashes.push(hash::sha256_of_file(&path)?);
@@ -215,15 +216,6 @@ fn render_take(avatar: &Avatar, frames: &[Planned], folder: &Path, reporter: &dy
     Ok(())
 }
 
-fn attributes(avatar: &Avatar, intensities: &[f32]) -> Vec<f32> {
-    let table = &avatar.saved.table.attributes;
-    table
-        .iter()
-        .zip(intensities)
-        .map(|(spec, v)| if spec.active { avatar.attribute_from_intensity(spec, *v) } else { spec.neutral_attribute() })
-        .collect()
-}
-
 fn run_tracker(settings: &ControlSettings, take: &Path) -> Result<()> {
     let mut command = Command::new(&settings.tracker);
     command.arg("run").arg(take).args(["--no-progress", "-q"]);
@@ -253,8 +245,9 @@ fn run_tracker(settings: &ControlSettings, take: &Path) -> Result<()> {
 pub fn decoupling(avatar: &Avatar, folder: &Path, reporter: &dyn Reporter) -> Result<Decoupling> {
     let table = &avatar.saved.table;
     let camera = view_camera(avatar, 0);
-    let mut studio = Studio::new(avatar, Look::default());
-    let neutral = avatar.neutral_attributes();
+    let outputs = Outputs { masks: true, ..Outputs::default() };
+    let mut studio = Studio::new(avatar, Look { outputs, ..Look::default() });
+    let neutral = avatar.neutral();
     let rest = studio.render(&camera, &neutral, reporter)?;
     let mut units = Vec::new();
     reporter.stage("decoupling", Some(table.attributes.len() as u64));
@@ -263,8 +256,7 @@ pub fn decoupling(avatar: &Avatar, folder: &Path, reporter: &dyn Reporter) -> Re
             return Err(TrainerError::Interrupted { done: format!("{k} of {} AUs", table.attributes.len()) });
         }
         if spec.active {
-            let mut raised = neutral.clone();
-            raised[k] = avatar.attribute_from_intensity(spec, spec.au_max);
+            let raised = neutral.with(k, spec.scale().most());
             let edited = studio.render(&camera, &raised, reporter)?;
             let spill = spill(&rest, &edited, spec.region);
             units.push(Spill { unit: spec.unit.to_string(), region: table.regions[spec.region].clone(), ..spill });
@@ -371,7 +363,7 @@ mod tests {
             intrinsics: risorius_formats::Intrinsics::pinhole(10, 10, 10.0),
             camera_from_world: risorius_formats::Isometry::IDENTITY,
         };
-        let mut rest = Render::empty(&camera, 2);
+        let mut rest = Render::empty(&camera, 2, Outputs { masks: true, ..Outputs::default() });
         for i in 0..50 {
             rest.masks[1][i] = 1.0;
         }

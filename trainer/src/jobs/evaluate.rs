@@ -8,11 +8,12 @@ use risorius_formats::views::{View, ViewList};
 use risorius_formats::{Camera, ErrorKind, FormatError, Reporter};
 
 use super::render::{shots_of_views, write_png};
-use crate::avatar::{Avatar, Between, Render};
+use crate::avatar::Avatar;
 use crate::error::{Result, TrainerError};
 use crate::eval::scores::{Parts, psnr_inside, score};
 use crate::eval::{Evaluation, Lpips, LpipsNetwork, ViewScore, depth, ms_ssim, ssim_map};
-use crate::studio::{Look, Studio};
+use crate::field::{Between, Look, Outputs, Render};
+use crate::studio::Studio;
 
 /// Where the pictures to be judged come from.
 #[derive(Clone, Copy)]
@@ -24,6 +25,9 @@ pub enum Judged<'a> {
     /// The same with codes between those of training frames, by the view's id.
     Between(&'a Avatar, &'a BTreeMap<String, Between>, &'a Path),
 }
+
+/// What tells the parts of a picture apart.
+const MAPS: Outputs = Outputs { depth: true, masks: true, head: false };
 
 /// A picture with the render behind it, if it was rendered now.
 struct Picture {
@@ -43,9 +47,12 @@ pub fn evaluate(
     let base = list_path.parent().unwrap_or(Path::new("."));
     let with_truth = ViewList { views: views.views.iter().filter(|v| v.image.is_some()).cloned().collect() };
     let mut studio = match judged {
-        Judged::Avatar(avatar, look, folder) => {
-            Some((avatar, Studio::new(avatar, look), shots_of_views(avatar, &with_truth, reporter), folder))
-        }
+        Judged::Avatar(avatar, look, folder) => Some((
+            avatar,
+            Studio::new(avatar, Look { outputs: MAPS, ..look }),
+            shots_of_views(avatar, &with_truth, reporter),
+            folder,
+        )),
         Judged::Folder(_) | Judged::Between(..) => None,
     };
     let mut scores = Vec::new();
@@ -58,7 +65,7 @@ pub fn evaluate(
         let (picture, regions) = match (&mut studio, judged) {
             (Some((avatar, studio, shots, folder)), _) => {
                 let shot = &shots[i];
-                let (rgb, render) = studio.picture_and_maps(&shot.camera, &shot.attributes, reporter)?;
+                let (rgb, render) = studio.picture_and_maps(&shot.camera, &shot.expression, reporter)?;
                 write_png(&folder.join(name), &rgb)?;
                 let reduce = (shot.camera.intrinsics.width / render.rgb.width().max(1)).max(1);
                 let camera = shot.camera.reduced(reduce);
@@ -94,8 +101,8 @@ fn render_between(
 ) -> Result<Render> {
     let fail = |message: String| FormatError::new(ErrorKind::Inconsistent, message).in_file(list_path);
     let place = places.get(&view.id).ok_or_else(|| fail(format!("`{}` is no held-out frame of the run", view.id)))?;
-    let render = avatar.render_between(&Camera::from(&view.camera), *place, reporter)?;
-    Ok(render.ok_or_else(|| fail("the brick field has no codes to interpolate".to_owned()))?)
+    let render = avatar.field.render_between(&Camera::from(&view.camera), *place, MAPS, reporter)?;
+    Ok(render.ok_or_else(|| fail("this field has no codes to interpolate".to_owned()))?)
 }
 
 fn judge(

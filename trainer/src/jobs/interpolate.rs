@@ -6,9 +6,10 @@ use std::path::Path;
 
 use risorius_formats::nerfies::Dataset;
 
-use crate::avatar::{Avatar, Between};
+use crate::avatar::Avatar;
 use crate::data::split;
 use crate::error::{Result, TrainerError};
+use crate::field::Between;
 use crate::saved::SavedField;
 
 /// `interval` of a run's `settings.toml`; 0 where there is none.
@@ -23,7 +24,7 @@ pub fn places(avatar: &Avatar, run: &Path, dataset: &Dataset) -> Result<BTreeMap
     let fail = |message: String, hint: &str| TrainerError::Run { path: run.to_owned(), message, hint: hint.to_owned() };
     let SavedField::Confies(saved) = &avatar.saved.field else {
         let hint = "leave out `--interpolate`: its attributes come from the frames' annotations";
-        return Err(fail("the brick field has no codes to interpolate".to_owned(), hint));
+        return Err(fail("a field of Gaussians has no codes to interpolate".to_owned(), hint));
     };
     let (train, held) = split(dataset, interval_of(run));
     if train.len() != saved.frames {

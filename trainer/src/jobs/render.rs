@@ -12,10 +12,12 @@ use risorius_formats::{Camera, FormatError, Reporter, Warning, atomic, hash};
 use risorius_video::Writer;
 use serde::{Deserialize, Serialize};
 
-use crate::avatar::{Avatar, Render};
+use crate::avatar::Avatar;
 use crate::cutout;
 use crate::error::{Result, TrainerError};
-use crate::studio::{Look, Studio};
+use crate::expression::{Expression, Unseen};
+use crate::field::{Look, Outputs, Render};
+use crate::studio::Studio;
 
 /// One picture to take.
 #[derive(Clone, Debug)]
@@ -24,8 +26,8 @@ pub struct Shot {
     pub id: String,
     /// The camera.
     pub camera: Camera,
-    /// K attributes, −1..1.
-    pub attributes: Vec<f32>,
+    /// The face.
+    pub expression: Expression,
 }
 
 /// Where pictures go.
@@ -58,7 +60,7 @@ pub struct Maps {
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 struct Made {
     version: u32,
-    /// Hash over ids, cameras, attributes, and how pictures are taken.
+    /// Hash over ids, cameras, expressions, and how pictures are taken.
     shots_sha256: String,
     pictures: usize,
     /// Whether all of them are there.
@@ -82,19 +84,18 @@ pub struct RenderSummary {
     pub video: Option<PathBuf>,
 }
 
-/// The shots of a view list; AUs that the avatar does not know are warned about once.
+/// The shots of a view list; what the capture does not show is warned about once.
 pub fn shots_of_views(avatar: &Avatar, views: &ViewList, reporter: &dyn Reporter) -> Vec<Shot> {
-    let mut unknown = std::collections::BTreeSet::new();
+    let mut unseen = Unseen::default();
     let shots: Vec<Shot> = views
         .views
         .iter()
         .map(|view| {
-            let (attributes, missing) = avatar.attributes_from_intensities(&view.aus);
-            unknown.extend(missing);
-            Shot { id: view.id.clone(), camera: Camera::from(&view.camera), attributes }
+            let expression = unseen.expression(&avatar.saved.table, &view.aus);
+            Shot { id: view.id.clone(), camera: Camera::from(&view.camera), expression }
         })
         .collect();
-    warn_unknown(&unknown, reporter);
+    unseen.warn(reporter);
     let past = shots.iter().filter(|shot| !shows(&shot.camera, avatar.saved.center_in_world)).count();
     if 2 * past > shots.len() {
         let message = format!(
@@ -116,19 +117,12 @@ fn shows(camera: &Camera, point_in_world: DVec3) -> bool {
         && at.cmple(size).all()
 }
 
-/// Tells which AUs have no effect.
-pub fn warn_unknown(unknown: &std::collections::BTreeSet<risorius_formats::ActionUnit>, reporter: &dyn Reporter) {
-    for unit in unknown {
-        let message = format!("`{unit}` ({}) never moved in the capture; it stays neutral", unit.facs_name());
-        reporter.warn(Warning::new("inactive-au", message));
-    }
-}
-
 /// Renders every shot.
 pub fn render(avatar: &Avatar, shots: &[Shot], sink: &Sink, reporter: &dyn Reporter) -> Result<RenderSummary> {
     let started = std::time::Instant::now();
     let mut writer: Option<Writer> = None;
-    let mut studio = Studio::new(avatar, Look { cutout: sink.maps.alpha, ..sink.look });
+    let outputs = Outputs { depth: sink.maps.depth, masks: sink.maps.masks, head: sink.maps.alpha };
+    let mut studio = Studio::new(avatar, Look { outputs, ..sink.look });
     let made = sink.folder.as_ref().map(|folder| begin(folder, avatar, shots, sink)).transpose()?;
     let mut kept = 0;
     reporter.stage("render", Some(shots.len() as u64));
@@ -142,7 +136,7 @@ pub fn render(avatar: &Avatar, shots: &[Shot], sink: &Sink, reporter: &dyn Repor
             // Only a video needs it again.
             sink.video.as_ref().map(|_| crate::data::read_rgb(&folder.join(format!("{}.png", shot.id)))).transpose()?
         } else {
-            let (picture, render) = studio.picture_and_maps(&shot.camera, &shot.attributes, reporter)?;
+            let (picture, render) = studio.picture_and_maps(&shot.camera, &shot.expression, reporter)?;
             if let Some(folder) = &sink.folder {
                 write_maps(folder, &shot.id, &render, sink.maps)?;
                 let path = folder.join(format!("{}.png", shot.id));
@@ -211,7 +205,7 @@ fn digest(avatar: &Avatar, shots: &[Shot], sink: &Sink) -> String {
     let mut text = format!("{:?} {:?} {:?}\n", avatar.saved.default_camera, avatar.saved.table, sink.maps);
     let _ = writeln!(text, "{:?}", sink.look);
     for shot in shots {
-        let _ = writeln!(text, "{} {:?} {:?}", shot.id, shot.camera, shot.attributes);
+        let _ = writeln!(text, "{} {:?} {:?}", shot.id, shot.camera, shot.expression);
     }
     hash::sha256_of_bytes(text.as_bytes())
 }
@@ -231,7 +225,8 @@ fn write_maps(folder: &Path, id: &str, render: &Render, maps: Maps) -> Result<()
     }
     if maps.masks {
         let byte = |n: usize, i: usize| render.masks.get(n).map_or(0, |m| (m[i].clamp(0.0, 1.0) * 255.0).round() as u8);
-        let masks: Vec<u8> = (0..render.depth.len()).flat_map(|i| [byte(0, i), byte(1, i), byte(2, i)]).collect();
+        let masks: Vec<u8> =
+            (0..size.0 as usize * size.1 as usize).flat_map(|i| [byte(0, i), byte(1, i), byte(2, i)]).collect();
         write_pixels(&folder.join(format!("{id}_masks.png")), &masks, size, ExtendedColorType::Rgb8)?;
     }
     Ok(())

@@ -2,7 +2,7 @@
 
 use image::RgbImage;
 
-use crate::avatar::Render;
+use crate::field::Render;
 
 /// Colours of the first three regions, told apart by people who see red and green alike.
 const REGION_COLORS: [[f32; 3]; 3] = [[230.0, 159.0, 0.0], [86.0, 180.0, 233.0], [204.0, 121.0, 167.0]];

@@ -8,11 +8,12 @@ use serde::{Deserialize, Serialize};
 
 use super::live::Now;
 use super::overlay;
-use crate::avatar::{Avatar, Render};
+use crate::avatar::Avatar;
 use crate::error::Result;
+use crate::field::{Look, Outputs, Render};
 use crate::jobs::transfer::Range;
 use crate::path::{Orbit, turned};
-use crate::studio::{Look, Studio};
+use crate::studio::Studio;
 
 /// What is laid over the picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -105,9 +106,14 @@ impl<'a> Scene<'a> {
         let turn = request.turn.unwrap_or(DMat3::IDENTITY);
         let camera = scaled(&turned(&orbit.camera(&reference, center), center, turn), scale);
         let known = request.aus.iter().filter(|(_, v)| v.is_finite()).map(|(u, v)| (*u, v.clamp(0.0, 5.0))).collect();
-        let (attributes, _) = self.avatar.attributes_from_intensities(&known);
+        let expression = self.avatar.expression(&known);
         let studio = &mut self.studios[request.slot.min(SLOTS - 1)];
-        let render = studio.render(&camera, &attributes, reporter)?;
+        studio.set_outputs(Outputs {
+            masks: request.overlay == Overlay::Masks,
+            depth: request.overlay == Overlay::Depth,
+            head: false,
+        });
+        let render = studio.render(&camera, &expression, reporter)?;
         Ok(lay_over(render, request.overlay))
     }
 }

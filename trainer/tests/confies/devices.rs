@@ -6,8 +6,8 @@ use burn::tensor::Device;
 use risorius_formats::Silent;
 use risorius_trainer::config::FitSettings;
 use risorius_trainer::devices;
-use risorius_trainer::fit::metrics::MetricsLine;
-use risorius_trainer::fit::{Limits, fit};
+use risorius_trainer::fit::confies::{ConfiesNumbers, Limits, fit};
+use risorius_trainer::fit::metrics::Line;
 use risorius_trainer::kernel::Products;
 
 use crate::scene::{scene, settings};
@@ -16,27 +16,28 @@ fn short() -> FitSettings {
     settings().with_steps(60)
 }
 
-fn fitted(settings: &FitSettings, run: &Path, device: &Device) -> Vec<MetricsLine> {
+fn fitted(settings: &FitSettings, run: &Path, device: &Device) -> Vec<Line<ConfiesNumbers>> {
     fit(&scene(&[2]), settings, Limits::default(), run, false, device, &Silent).unwrap();
     let text = std::fs::read_to_string(run.join("metrics.jsonl")).unwrap();
     text.lines().map(|l| serde_json::from_str(l).unwrap()).collect()
 }
 
 /// Both begin with the same errors and gradients to `first`, and get as far to `last`.
-fn assert_alike(found: &[MetricsLine], expected: &[MetricsLine], first: f64, last: f64) {
+fn assert_alike(found: &[Line<ConfiesNumbers>], expected: &[Line<ConfiesNumbers>], first: f64, last: f64) {
     let near = |name: &str, a: f64, b: f64, share: f64| {
         assert!((a - b).abs() <= share * b.abs().max(1e-6), "{name}: {a} instead of {b}");
     };
-    let (a, b) = (&found[0], &expected[0]);
+    let (a, b) = (&found[0].numbers, &expected[0].numbers);
     near("reconstruction", a.reconstruction, b.reconstruction, first);
     near("mask", a.mask, b.mask, first);
     near("attribute", a.attribute, b.attribute, first);
     for (part, &norm) in &b.gradient_norms {
         near(part, a.gradient_norms[part], norm, 10.0 * first);
     }
-    let end = |lines: &[MetricsLine]| lines[lines.len() - 3..].iter().map(|l| l.reconstruction).sum::<f64>();
+    let end =
+        |lines: &[Line<ConfiesNumbers>]| lines[lines.len() - 3..].iter().map(|l| l.numbers.reconstruction).sum::<f64>();
     near("the last reconstructions", end(found), end(expected), last);
-    assert!(end(found) < 3.0 * found[0].reconstruction, "it learns");
+    assert!(end(found) < 3.0 * found[0].numbers.reconstruction, "it learns");
 }
 
 #[test]
@@ -47,7 +48,11 @@ fn products_in_bf16_learn_what_those_in_f32_learn() {
     half.model.products = Products::Bf16;
     let expected = fitted(&plain, &dir.path().join("f32"), &Device::flex());
     let found = fitted(&half, &dir.path().join("bf16"), &Device::flex());
-    assert_ne!(found[0].reconstruction.to_bits(), expected[0].reconstruction.to_bits(), "nothing was rounded");
+    assert_ne!(
+        found[0].numbers.reconstruction.to_bits(),
+        expected[0].numbers.reconstruction.to_bits(),
+        "nothing was rounded"
+    );
     assert_alike(&found, &expected, 0.01, 0.1);
 }
 

@@ -7,8 +7,9 @@ use burn::tensor::Device;
 use risorius_formats::Silent;
 use risorius_trainer::TrainerError;
 use risorius_trainer::config::{FitSettings, ModelKind, RayOrder};
-use risorius_trainer::fit::metrics::MetricsLine;
-use risorius_trainer::fit::{Limits, checkpoint, fit, tensorboard};
+use risorius_trainer::fit::confies::{ConfiesNumbers, Limits, fit};
+use risorius_trainer::fit::metrics::Line;
+use risorius_trainer::fit::{checkpoint, tensorboard};
 use risorius_trainer::schedule::Schedule;
 
 use crate::scene::{scene, settings};
@@ -23,7 +24,7 @@ fn fitted(settings: &FitSettings, run: &Path, resume: bool) -> Result<(), Box<Tr
     fit(&data, settings, Limits::default(), run, resume, &Device::flex(), &Silent).map(drop).map_err(Box::new)
 }
 
-fn lines(run: &Path) -> Vec<MetricsLine> {
+fn lines(run: &Path) -> Vec<Line<ConfiesNumbers>> {
     let text = fs::read_to_string(run.join("metrics.jsonl")).unwrap();
     text.lines().map(|l| serde_json::from_str(l).unwrap()).collect()
 }
@@ -53,7 +54,7 @@ fn a_resumed_fit_is_the_uninterrupted_one_to_the_bit() {
         let numbers = |run: &Path| {
             lines(run)
                 .into_iter()
-                .map(|l| (l.step, l.reconstruction, l.attribute, l.gradient_norms))
+                .map(|l| (l.step, l.numbers.reconstruction, l.numbers.attribute, l.numbers.gradient_norms))
                 .collect::<Vec<_>>()
         };
         assert_eq!(numbers(&whole), numbers(&parted));
@@ -66,7 +67,7 @@ fn numbers_are_logged_as_lines_and_as_events() {
     fitted(&short(ModelKind::Confies), dir.path(), false).unwrap();
     let lines = lines(dir.path());
     assert_eq!(lines.iter().map(|l| l.step).collect::<Vec<_>>(), [1, 10, 20, 30]);
-    for line in &lines {
+    for line in lines.into_iter().map(|l| l.numbers) {
         assert!(line.gradient_norm > 0.0 && line.gradient_norms.len() >= 8, "{line:?}");
         assert!(line.mask > 0.0 && line.latent > 0.0 && line.attribute_weight <= 0.1);
     }

@@ -7,9 +7,11 @@ use burn::optim::GradientsParams;
 use burn::tensor::Tensor;
 use glam::DVec3;
 use risorius_formats::nerfies::Dataset;
-use risorius_formats::{ActionUnit, AttributeSpec, AttributeTable, Camera, Intrinsics, Isometry, SceneBounds};
+use risorius_formats::{
+    ActionUnit, Attribute, AttributeSpec, AttributeTable, Camera, Intrinsics, Isometry, SceneBounds,
+};
 use risorius_trainer::config::FitSettings;
-use risorius_trainer::data::{TrainData, TrainFrame};
+use risorius_trainer::data::{PixelLists, TrainData, TrainFrame};
 use risorius_trainer::model::ConfiesModel;
 use risorius_trainer::space::NetSpace;
 
@@ -35,11 +37,12 @@ pub(crate) fn scene(unannotated: &[usize]) -> TrainData {
             id: format!("{i:06}"),
             camera: Camera { intrinsics: Intrinsics::pinhole(SIDE, SIDE, 10.0), camera_from_world },
             pixels: (0..count * 3).map(|p| ((p * 37 + i * 11) % 256) as u8).collect(),
-            region_pixels: (0..count as u32).filter(|&p| labels[p as usize] > 0).collect(),
             labels: given.then_some(labels),
             valid: None,
-            attributes: given.then(|| (0..4).map(|k| ((i * 3 + k * 5) % 9) as f32 / 4.0 - 1.0).collect()),
-            uncapped: None,
+            attributes: given.then(|| (0..4).map(|k| Attribute(((i * 3 + k * 5) % 9) as f32 / 4.0 - 1.0)).collect()),
+            intensities: None,
+            landmarks_px: None,
+            lists: PixelLists::default(),
         }
     };
     let frames: Vec<TrainFrame> = (0..FRAMES).map(frame).collect();

@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use risorius_bench::child::{self, Run};
-use risorius_brick::floor::Floor;
 use risorius_console::{Console, Failure};
 use risorius_formats::FormatError;
 use risorius_trainer::eval::lpips::default_dir;
@@ -25,8 +24,8 @@ pub(crate) struct Sizes {
     steps: &'static [u64],
     /// Steps of the fits whose other settings are varied.
     varied_steps: u64,
-    /// Samples per step that are tried.
-    samples: &'static [u32],
+    /// Numbers of Gaussians that are tried, besides the default.
+    gaussians: &'static [u32],
     /// Steps of fits of the paper's networks.
     confies: &'static [u64],
     /// Pictures of an orbit.
@@ -39,7 +38,7 @@ const QUICK: Sizes = Sizes {
     chosen: [30, 60],
     steps: &[50, 100, 200, 400],
     varied_steps: 100,
-    samples: &[4_000, 16_000],
+    gaussians: &[2_000, 8_000],
     confies: &[20, 40],
     orbit: 12,
 };
@@ -50,7 +49,7 @@ const WHOLE: Sizes = Sizes {
     chosen: [100, 200],
     steps: &[125, 250, 500, 1000, 2000, 4000],
     varied_steps: 500,
-    samples: &[8_000, 16_000, 32_000],
+    gaussians: &[20_000, 50_000, 110_000],
     confies: &[100, 200, 400],
     orbit: 60,
 };
@@ -64,19 +63,12 @@ pub(crate) struct Bench<'a> {
     cli: &'a Cli,
     pub(crate) work: &'a Path,
     unit_cpu_secs: f64,
-    fit_floor: f64,
     pub(crate) sizes: Sizes,
     pub(crate) console: &'a Console,
 }
 
 impl<'a> Bench<'a> {
-    pub(crate) fn new(
-        cli: &'a Cli,
-        work: &'a Path,
-        unit_cpu_secs: f64,
-        floor: &Floor,
-        console: &'a Console,
-    ) -> Result<Self, Failure> {
+    pub(crate) fn new(cli: &'a Cli, work: &'a Path, unit_cpu_secs: f64, console: &'a Console) -> Result<Self, Failure> {
         for entry in std::fs::read_dir(work).into_iter().flatten().flatten() {
             // Only what this program made: a mistyped path must cost nobody anything.
             let name = entry.file_name().to_string_lossy().into_owned();
@@ -85,7 +77,7 @@ impl<'a> Bench<'a> {
             }
         }
         let sizes = if cli.quick { QUICK } else { WHOLE };
-        Ok(Self { rows: Vec::new(), cli, work, unit_cpu_secs, fit_floor: floor.fit_samples_per_sec(), sizes, console })
+        Ok(Self { rows: Vec::new(), cli, work, unit_cpu_secs, sizes, console })
     }
 
     pub(crate) fn run_all(&mut self) -> Result<(), Failure> {
@@ -227,12 +219,8 @@ impl<'a> Bench<'a> {
         let out = text(&self.made(&name.replace('/', "-")));
         let args = [&["fit", dataset, "--out", &out][..], more].concat();
         let run = self.measure(name, "trainer", &args, grows)?;
-        let rate = number(&run.document, &["samples_per_sec"]);
-        let brick = name.starts_with("fit/");
-        if let (Some(row), Some(rate)) = (self.rows.last_mut(), rate) {
-            row.floor_share = brick.then_some(rate / self.fit_floor);
-            let samples = rate * number(&run.document, &["seconds"]).unwrap_or(0.0);
-            row.grows_with.push(("samples".to_owned(), samples.round()));
+        if let (Some(row), Some(steps)) = (self.rows.last_mut(), number(&run.document, &["steps"])) {
+            row.grows_with.push(("steps".to_owned(), steps));
         }
         let judged = format!("{out}-judged");
         let args = ["eval", &out, "--views", views, "--lpips", "none", "--out", &judged];
@@ -262,18 +250,18 @@ impl<'a> Bench<'a> {
         }
         let smaller = text(&self.made(&format!("dataset-{few}-2")));
         self.fit(&format!("fit/frames-{few}"), &smaller, &length, views, &[("frames", f64::from(few))])?;
-        for samples in self.sizes.samples {
-            let set = format!("step.samples={samples}");
+        for gaussians in self.sizes.gaussians {
+            let set = format!("splat.gaussians={gaussians}");
             let more = ["--steps", &steps, "--set", &set];
-            let grows = [("samples a step", f64::from(*samples))];
-            self.fit(&format!("fit/samples-{samples}"), dataset, &more, views, &grows)?;
+            let grows = [("Gaussians", f64::from(*gaussians))];
+            self.fit(&format!("fit/gaussians-{gaussians}"), dataset, &more, views, &grows)?;
         }
         for count in FEWER_AUS {
             let dataset = self.with_fewer_aus(world, count)?;
             self.fit(&format!("fit/aus-{count}"), &dataset, &length, views, &[("AUs", count as f64)])?;
         }
         // The middle of all these lines.
-        let grows = [("pixels", pixels / 4.0), ("frames", f64::from(many)), ("samples a step", 64_000.0), ("AUs", all)];
+        let grows = [("pixels", pixels / 4.0), ("frames", f64::from(many)), ("Gaussians", 80_000.0), ("AUs", all)];
         self.fit("fit/middle", dataset, &length, views, &grows)?;
         let small = text(&self.made(&format!("dataset-{many}-4")));
         for steps in self.sizes.confies {
@@ -289,19 +277,17 @@ impl<'a> Bench<'a> {
         if !self.asked_for("render") {
             return Ok(());
         }
-        for (name, more) in [("direct", &[][..]), ("baked", &["--baked"][..])] {
-            for count in [self.sizes.orbit, 4 * self.sizes.orbit] {
-                let out = text(&self.made(&format!("render-{name}-{count}")));
-                let count_text = count.to_string();
-                let args = [&["render", run, "--orbit", &count_text, "--out", &out][..], more].concat();
-                let grows = [("pictures", f64::from(count))];
-                self.measure(&format!("render/{name}-{count}"), "trainer", &args, &grows)?;
-            }
-            let judged = text(&self.made(&format!("render-{name}-judged")));
-            let args = [&["eval", run, "--views", views, "--lpips", "none", "--out", &judged][..], more].concat();
-            let eval = child::run("trainer", &args, self.work)?;
-            self.error("PSNR, dB", number(&eval.document, &["mean_psnr_db"]));
+        for count in [self.sizes.orbit, 4 * self.sizes.orbit] {
+            let out = text(&self.made(&format!("render-{count}")));
+            let count_text = count.to_string();
+            let grows = [("pictures", f64::from(count))];
+            let args = ["render", run, "--orbit", &count_text, "--out", &out];
+            self.measure(&format!("render/orbit-{count}"), "trainer", &args, &grows)?;
         }
+        let judged = text(&self.made("render-judged"));
+        let args = ["eval", run, "--views", views, "--lpips", "none", "--out", &judged];
+        let eval = child::run("trainer", &args, self.work)?;
+        self.error("PSNR, dB", number(&eval.document, &["mean_psnr_db"]));
         Ok(())
     }
 
@@ -326,7 +312,7 @@ impl<'a> Bench<'a> {
                     "--steps",
                     "6",
                     "--set",
-                    "step.samples=4000",
+                    "splat.gaussians=2000",
                     "--checkpoint-every",
                     "100",
                     "--threads",

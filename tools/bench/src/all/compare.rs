@@ -115,15 +115,7 @@ mod tests {
     }
 
     fn report(rows: Vec<Row>) -> Report {
-        Report {
-            version: 1,
-            processor: String::new(),
-            threads: 2,
-            unit_cpu_secs: 1.0,
-            floor: (1.0, 1.0),
-            quick: true,
-            rows,
-        }
+        Report { version: VERSION, processor: String::new(), threads: 2, unit_cpu_secs: 1.0, quick: true, rows }
     }
 
     #[test]

@@ -1,5 +1,5 @@
 //! `bench-all`: every stage at several settings, in one report: error against run time, memory, how cost grows with frames,
-//! AUs, resolution and samples; and what has become dearer since a baseline.
+//! AUs, resolution and Gaussians; and what has become dearer since a baseline.
 //!
 //! ```text
 //! cases (a captured world and command lines) → measure (child processes) → report.csv, *.svg, report.html
@@ -86,7 +86,7 @@ pub(crate) struct Row {
     pub(crate) name: String,
     /// The command line, without the machine's folders.
     pub(crate) command: String,
-    /// What is varied, and its value: frames, AUs, pixels, samples.
+    /// What is varied, and its value: frames, AUs, pixels, Gaussians.
     pub(crate) grows_with: Vec<(String, f64)>,
     /// Seconds on the wall.
     pub(crate) wall_secs: f64,
@@ -98,14 +98,12 @@ pub(crate) struct Row {
     pub(crate) peak_mib: f64,
     /// How far the result is from the truth: what is measured, and the value.
     pub(crate) error: Option<(String, f64)>,
-    /// Share of the calibrated floor that it reaches, where one is known.
-    pub(crate) floor_share: Option<f64>,
     /// Instructions, where they were counted.
     pub(crate) instructions: Option<u64>,
 }
 
 /// Of the layout of reports and baselines.
-pub(crate) const VERSION: u32 = 1;
+pub(crate) const VERSION: u32 = 2;
 
 /// The whole run, and a baseline.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -118,8 +116,6 @@ pub(crate) struct Report {
     pub(crate) threads: usize,
     /// CPU seconds of the unit of cost.
     pub(crate) unit_cpu_secs: f64,
-    /// What this machine could do at best: GFLOP/s and million look-ups a second of the brick field's kernels.
-    pub(crate) floor: (f64, f64),
     /// Whether it was the quick form.
     pub(crate) quick: bool,
     /// Every command.
@@ -168,15 +164,13 @@ fn measured(cli: &Cli, work: &Path, console: &Console) -> Result<Report, Failure
     std::fs::create_dir_all(work).map_err(|e| FormatError::io(work, "create", &e))?;
     let work = std::path::absolute(work).map_err(|e| FormatError::io(work, "find", &e))?;
     let unit_cpu_secs = unit(&work)?;
-    let floor = risorius_brick::floor::Floor::measure();
-    let mut bench = cases::Bench::new(cli, &work, unit_cpu_secs, &floor, console)?;
+    let mut bench = cases::Bench::new(cli, &work, unit_cpu_secs, console)?;
     bench.run_all()?;
     let report = Report {
         version: VERSION,
         processor: calibrate::processor(),
-        threads: floor.threads,
+        threads: std::thread::available_parallelism().map_or(1, usize::from),
         unit_cpu_secs,
-        floor: (floor.gflops, floor.million_look_ups_per_sec),
         quick: cli.quick,
         rows: bench.rows,
     };

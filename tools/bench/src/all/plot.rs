@@ -72,13 +72,13 @@ fn add(panel: &mut Panel, name: &str, point: (f64, f64)) {
     }
 }
 
-/// Panels of CPU seconds against frames, AUs, pixels and samples, each line relative to its largest value.
+/// Panels of CPU seconds against frames, AUs, pixels and Gaussians, each line relative to its largest value.
 pub(crate) fn growth(report: &Report) -> Vec<Panel> {
     let mut panels: Vec<Panel> = Vec::new();
     for row in &report.rows {
         let stage = row.name.split('/').next().unwrap_or_default();
         for (axis, value) in &row.grows_with {
-            if *axis == "samples" && !row.name.contains("steps") {
+            if *axis == "steps" && !row.name.contains("steps") {
                 continue;
             }
             if !panels.iter().any(|p| p.x == *axis) {

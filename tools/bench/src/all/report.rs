@@ -33,7 +33,7 @@ pub(crate) fn write(report: &Report, work: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-fn cells(row: &Row) -> [String; 8] {
+fn cells(row: &Row) -> [String; 7] {
     let (what, error) = row.error.clone().map_or((String::new(), String::new()), |(w, e)| (w, format!("{e:.3}")));
     [
         row.name.clone(),
@@ -42,21 +42,16 @@ fn cells(row: &Row) -> [String; 8] {
         format!("{:.2}", row.cost),
         format!("{:.0}", row.peak_mib),
         if what.is_empty() { String::new() } else { format!("{error} ({what})") },
-        row.floor_share.map_or_else(String::new, |s| format!("{:.0} %", 100.0 * s)),
         row.instructions.map_or_else(String::new, |n| format!("{:.1}", n as f64 * 1e-6)),
     ]
 }
 
-const HEAD: [&str; 8] =
-    ["command", "wall s", "CPU s", "cost", "peak MiB", "error", "of the floor", "million instructions"];
+const HEAD: [&str; 7] = ["command", "wall s", "CPU s", "cost", "peak MiB", "error", "million instructions"];
 
 /// A Markdown table.
 pub(crate) fn table(report: &Report) -> String {
     let mut lines = vec![
-        format!(
-            "{}, {} threads; unit of cost {:.2} CPU s; floor {:.0} GFLOP/s, {:.0} M look-ups/s",
-            report.processor, report.threads, report.unit_cpu_secs, report.floor.0, report.floor.1
-        ),
+        format!("{}, {} threads; unit of cost {:.2} CPU s", report.processor, report.threads, report.unit_cpu_secs),
         format!("| {} |", HEAD.join(" | ")),
         format!("|{}", "---|".repeat(HEAD.len())),
     ];
@@ -65,15 +60,14 @@ pub(crate) fn table(report: &Report) -> String {
 }
 
 fn csv(report: &Report) -> String {
-    let mut text = String::from(
-        "name,wall_secs,cpu_secs,cost,peak_mib,error_kind,error,floor_share,instructions,grows_with,command\n",
-    );
+    let mut text =
+        String::from("name,wall_secs,cpu_secs,cost,peak_mib,error_kind,error,instructions,grows_with,command\n");
     for row in &report.rows {
         let grows: Vec<String> = row.grows_with.iter().map(|(axis, value)| format!("{axis}={value}")).collect();
         let optional = |v: Option<f64>| v.map_or_else(String::new, |v| v.to_string());
         let _ = writeln!(
             text,
-            "{},{},{},{},{},\"{}\",{},{},{},\"{}\",\"{}\"",
+            "{},{},{},{},{},\"{}\",{},{},\"{}\",\"{}\"",
             row.name,
             row.wall_secs,
             row.cpu_secs,
@@ -81,7 +75,6 @@ fn csv(report: &Report) -> String {
             row.peak_mib,
             row.error.as_ref().map_or("", |e| e.0.as_str()),
             optional(row.error.as_ref().map(|e| e.1)),
-            optional(row.floor_share),
             row.instructions.map_or_else(String::new, |n| n.to_string()),
             grows.join(" "),
             row.command.replace('"', "'"),
@@ -101,14 +94,11 @@ fn page(report: &Report, plots: &[(&str, &String)]) -> String {
     let _ = writeln!(
         text,
         "<p>{}, {} threads{}. Cost is CPU time in units of {:.2} CPU seconds, a fixed piece of work measured in the same \
-         run. The floor of a fit: {:.0} GFLOP/s and {:.0} million look-ups a second, measured by the same kernels on data \
-         that stay in the second-level cache.</p>",
+         run.</p>",
         escaped(&report.processor),
         report.threads,
         if report.quick { ", the quick form" } else { "" },
-        report.unit_cpu_secs,
-        report.floor.0,
-        report.floor.1
+        report.unit_cpu_secs
     );
     for (title, svg) in plots {
         let _ = writeln!(text, "<h2>{title}</h2>\n{svg}");

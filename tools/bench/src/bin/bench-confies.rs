@@ -1,4 +1,4 @@
-//! The paper's networks: Table 2 again on any dataset, and beside the brick field at equal time and equal error.
+//! The paper's networks: Table 2 again on any dataset, and beside the Gaussian field at equal time and equal error.
 
 use std::process::ExitCode;
 

@@ -1,4 +1,4 @@
-//! `bench-confies against-brick`: the same times for both fields, and the times that both need for the same error.
+//! `bench-confies against-splat`: the same times for both fields, and the times that both need for the same error.
 
 use std::path::PathBuf;
 
@@ -10,10 +10,10 @@ use super::rows::{self, Job, Row};
 use super::{create, text};
 use crate::panels;
 
-/// Options of `bench-confies against-brick`.
+/// Options of `bench-confies against-splat`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Example:\n  bench-confies against-brick --dataset datasets/ada --views test/views.json --work work/against --budgets 2m,10m,30m\n\nWrites against.csv, against.md, against.json and against.svg into WORK. A run that was stopped goes on with the first fit\nthat is not measured."
+    after_help = "Example:\n  bench-confies against-splat --dataset datasets/ada --views test/views.json --work work/against --budgets 2m,10m,30m\n\nWrites against.csv, against.md, against.json and against.svg into WORK. A run that was stopped goes on with the first fit\nthat is not measured."
 )]
 pub(super) struct Args {
     /// A dataset made by `dataset build`
@@ -28,9 +28,9 @@ pub(super) struct Args {
     /// Times of both fields' fits
     #[arg(long, value_name = "TIMES", value_delimiter = ',', default_value = "2m,5m,15m")]
     budgets: Vec<String>,
-    /// Further times of the brick field, short ones, where it meets the other's error
+    /// Further times of the Gaussian field, short ones, where it meets the other's error
     #[arg(long, value_name = "TIMES", value_delimiter = ',', default_value = "3s,6s,15s,30s")]
-    brick_budgets: Vec<String>,
+    splat_budgets: Vec<String>,
     /// Preset of the paper's networks
     #[arg(long, value_name = "NAME", default_value = "cpu")]
     preset: String,
@@ -50,7 +50,7 @@ const SHOWN: [&str; 2] = ["all", "all: AU regions"];
 struct EqualTime {
     budget: String,
     confies_psnr_db: f64,
-    brick_psnr_db: f64,
+    splat_psnr_db: f64,
 }
 
 /// The times that both need for what confies reaches.
@@ -58,29 +58,29 @@ struct EqualTime {
 struct EqualError {
     psnr_db: f64,
     confies_secs: f64,
-    /// `None` where no brick fit reaches it.
-    brick_secs: Option<f64>,
-    /// Whether the shortest brick fit is better already, so that its time is only a bound from above.
+    /// `None` where no splat fit reaches it.
+    splat_secs: Option<f64>,
+    /// Whether the shortest splat fit is better already, so that its time is only a bound from above.
     bound: bool,
 }
 
 #[derive(Debug, Serialize)]
 struct Report {
     confies: Vec<Row>,
-    brick: Vec<Row>,
+    splat: Vec<Row>,
     equal_time: Vec<EqualTime>,
     equal_error: Vec<EqualError>,
 }
 
 pub(super) fn run(args: &Args, console: &Console) -> Result<(), Failure> {
     create(&args.work)?;
-    let mut short: Vec<&String> = args.brick_budgets.iter().filter(|b| !args.budgets.contains(b)).collect();
+    let mut short: Vec<&String> = args.splat_budgets.iter().filter(|b| !args.budgets.contains(b)).collect();
     short.extend(&args.budgets);
-    let brick: Vec<Job<'_>> = short.into_iter().map(|b| job(args, "brick", b)).collect();
+    let splat: Vec<Job<'_>> = short.into_iter().map(|b| job(args, "splat", b)).collect();
     let confies: Vec<Job<'_>> = args.budgets.iter().map(|b| job(args, "confies", b)).collect();
     if args.dry_run {
         let commands: Vec<String> =
-            brick.iter().chain(&confies).map(|j| format!("trainer {}", j.command(&args.work).join(" "))).collect();
+            splat.iter().chain(&confies).map(|j| format!("trainer {}", j.command(&args.work).join(" "))).collect();
         console.finish(&commands, &commands.join("\n"));
         return Ok(());
     }
@@ -89,15 +89,15 @@ pub(super) fn run(args: &Args, console: &Console) -> Result<(), Failure> {
         rows.sort_by(|a, b| a.wall_secs.total_cmp(&b.wall_secs));
         Ok::<_, Failure>(rows)
     };
-    let (brick, confies) = (measured(&brick)?, measured(&confies)?);
+    let (splat, confies) = (measured(&splat)?, measured(&confies)?);
     let report = Report {
-        equal_time: equal_time(args, &confies, &brick),
-        equal_error: equal_error(&confies, &brick),
+        equal_time: equal_time(args, &confies, &splat),
+        equal_error: equal_error(&confies, &splat),
         confies,
-        brick,
+        splat,
     };
     let header = ["field", "time asked", "steps", "wall s", "CPU s", "peak MiB", "PSNR dB", "AU regions dB"];
-    let cells: Vec<Vec<String>> = report.brick.iter().chain(&report.confies).map(cells).collect();
+    let cells: Vec<Vec<String>> = report.splat.iter().chain(&report.confies).map(cells).collect();
     let table = rows::write(&args.work, "against", &header, &cells, &report)?;
     let words = format!("{table}\n{}", words(&report));
     risorius_formats::atomic::write_file(args.work.join("against.md"), words.as_bytes())?;
@@ -124,20 +124,20 @@ fn budget_of(row: &Row) -> &str {
     row.name.split_once('-').map_or("", |(_, budget)| budget)
 }
 
-fn equal_time(args: &Args, confies: &[Row], brick: &[Row]) -> Vec<EqualTime> {
+fn equal_time(args: &Args, confies: &[Row], splat: &[Row]) -> Vec<EqualTime> {
     let at =
         |rows: &[Row], budget: &str| rows.iter().find(|r| budget_of(r) == budget).map_or(f64::NAN, |r| of(r, SHOWN[0]));
     let both = |budget: &String| EqualTime {
         confies_psnr_db: at(confies, budget),
-        brick_psnr_db: at(brick, budget),
+        splat_psnr_db: at(splat, budget),
         budget: budget.clone(),
     };
     args.budgets.iter().map(both).collect()
 }
 
-/// For each confies fit, when the brick field is as good: between its fits on a line over the logarithm of time.
-fn equal_error(confies: &[Row], brick: &[Row]) -> Vec<EqualError> {
-    let curve: Vec<(f64, f64)> = brick.iter().map(|r| (r.wall_secs.ln(), of(r, SHOWN[0]))).collect();
+/// For each confies fit, when the Gaussian field is as good: between its fits on a line over the logarithm of time.
+fn equal_error(confies: &[Row], splat: &[Row]) -> Vec<EqualError> {
+    let curve: Vec<(f64, f64)> = splat.iter().map(|r| (r.wall_secs.ln(), of(r, SHOWN[0]))).collect();
     let reached = |psnr: f64| {
         let first = curve.iter().position(|(_, p)| *p >= psnr)?;
         let (t1, p1) = curve[first];
@@ -146,12 +146,12 @@ fn equal_error(confies: &[Row], brick: &[Row]) -> Vec<EqualError> {
     };
     let row = |r: &Row| {
         let psnr_db = of(r, SHOWN[0]);
-        let brick = reached(psnr_db);
+        let splat = reached(psnr_db);
         EqualError {
             psnr_db,
             confies_secs: r.wall_secs,
-            brick_secs: brick.map(|b| b.0),
-            bound: brick.is_some_and(|b| b.1),
+            splat_secs: splat.map(|b| b.0),
+            bound: splat.is_some_and(|b| b.1),
         }
     };
     confies.iter().map(row).collect()
@@ -176,29 +176,29 @@ fn cells(row: &Row) -> Vec<String> {
 
 fn words(report: &Report) -> String {
     use std::fmt::Write as _;
-    let mut text = String::from("Equal time:\n\n| time | confies dB | brick dB | difference |\n|---|---|---|---|\n");
+    let mut text = String::from("Equal time:\n\n| time | confies dB | splat dB | difference |\n|---|---|---|---|\n");
     for e in &report.equal_time {
-        let (c, b) = (e.confies_psnr_db, e.brick_psnr_db);
+        let (c, b) = (e.confies_psnr_db, e.splat_psnr_db);
         let _ = writeln!(text, "| {} | {c:.2} | {b:.2} | {:+.2} |", e.budget, b - c);
     }
-    text.push_str("\nEqual error:\n\n| PSNR dB | confies s | brick s | times as fast |\n|---|---|---|---|\n");
+    text.push_str("\nEqual error:\n\n| PSNR dB | confies s | splat s | times as fast |\n|---|---|---|---|\n");
     for e in &report.equal_error {
-        let (brick, times) = match e.brick_secs {
+        let (splat, times) = match e.splat_secs {
             Some(secs) => {
                 let (at_most, at_least) = if e.bound { ("at most ", "at least ") } else { ("", "") };
                 (format!("{at_most}{secs:.1}"), format!("{at_least}{:.0}", e.confies_secs / secs))
             }
             None => ("not reached".to_owned(), "–".to_owned()),
         };
-        let _ = writeln!(text, "| {:.2} | {:.1} | {brick} | {times} |", e.psnr_db, e.confies_secs);
+        let _ = writeln!(text, "| {:.2} | {:.1} | {splat} | {times} |", e.psnr_db, e.confies_secs);
     }
     text
 }
 
 fn plot(path: &std::path::Path, report: &Report) -> Result<(), Failure> {
     let fields =
-        [("confies", &report.confies, RGBColor(214, 80, 40)), ("brick", &report.brick, RGBColor(31, 119, 180))];
-    let rows = || report.confies.iter().chain(&report.brick);
+        [("confies", &report.confies, RGBColor(214, 80, 40)), ("splat", &report.splat, RGBColor(31, 119, 180))];
+    let rows = || report.confies.iter().chain(&report.splat);
     let (first, last) = rows().map(|r| r.wall_secs).fold((f64::MAX, 1.0), |(a, b): (f64, f64), t| (a.min(t), b.max(t)));
     panels::write(path, SHOWN, |area, part| {
         let values = || rows().map(|r| of(r, part)).filter(|v| v.is_finite());
@@ -257,12 +257,12 @@ mod tests {
     }
 
     #[test]
-    fn equal_error_is_read_off_the_brick_curve() {
-        let brick = [row("brick-1s", 1.0, 20.0), row("brick-100s", 100.0, 30.0)];
+    fn equal_error_is_read_off_the_splat_curve() {
+        let splat = [row("splat-1s", 1.0, 20.0), row("splat-100s", 100.0, 30.0)];
         let confies = [row("confies-1m", 60.0, 15.0), row("confies-2m", 120.0, 25.0), row("confies-1h", 3600.0, 31.0)];
-        let equal = equal_error(&confies, &brick);
-        assert_eq!((equal[0].brick_secs, equal[0].bound), (Some(1.0), true));
-        assert!((equal[1].brick_secs.unwrap() - 10.0).abs() < 1e-9 && !equal[1].bound);
-        assert_eq!(equal[2].brick_secs, None);
+        let equal = equal_error(&confies, &splat);
+        assert_eq!((equal[0].splat_secs, equal[0].bound), (Some(1.0), true));
+        assert!((equal[1].splat_secs.unwrap() - 10.0).abs() < 1e-9 && !equal[1].bound);
+        assert_eq!(equal[2].splat_secs, None);
     }
 }

@@ -1,4 +1,4 @@
-//! `bench-confies`: the paper's networks against each other and against the brick field.
+//! `bench-confies`: the paper's networks against each other and against the Gaussian field.
 
 mod against;
 mod rows;
@@ -10,7 +10,7 @@ use clap::{Parser, Subcommand};
 use risorius_console::{Common, CommonArgs, Console, Failure};
 use risorius_formats::FormatError;
 
-/// The paper's networks: its Table 2 again on any dataset, and beside the brick field
+/// The paper's networks: its Table 2 again on any dataset, and beside the Gaussian field
 #[derive(Debug, Parser)]
 #[command(name = "bench-confies", version, about)]
 pub struct Cli {
@@ -24,8 +24,8 @@ pub struct Cli {
 enum Command {
     /// Fit every model of the paper's Table 2 alike and score it on held-out frames, with codes between neighbours
     Table2(table2::Args),
-    /// Compare the paper's networks with the brick field at equal time and at equal error
-    AgainstBrick(against::Args),
+    /// Compare the paper's networks with the Gaussian field at equal time and at equal error
+    AgainstSplat(against::Args),
 }
 
 impl Common for Cli {
@@ -38,7 +38,7 @@ impl Common for Cli {
 pub fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     match &cli.command {
         Command::Table2(args) => table2::run(args, console),
-        Command::AgainstBrick(args) => against::run(args, console),
+        Command::AgainstSplat(args) => against::run(args, console),
     }
 }
 

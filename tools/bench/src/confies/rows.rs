@@ -89,7 +89,7 @@ impl Job<'_> {
             peak_mib: fitted.peak_mib,
             train_psnr_db: number(&fitted.document, "train_psnr_db"),
             means: serde_json::from_value(means).unwrap_or_default(),
-            psnr_db: crate::brick::fits::psnr_of(&judged.document),
+            psnr_db: crate::splat::fits::psnr_of(&judged.document),
         };
         write_json(&file, &row)?;
         Ok(row)

@@ -6,7 +6,6 @@
 
 mod ladder;
 mod numbers;
-mod picture;
 mod plot;
 
 use std::fmt::Write as _;
@@ -60,8 +59,7 @@ fn main() -> ExitCode {
 }
 
 fn bench(cli: &Cli, console: &Console) -> Result<(), Failure> {
-    let mut rungs = ladder::climb(cli.rounds);
-    rungs.extend(picture::climb(cli.rounds));
+    let rungs = ladder::climb(cli.rounds);
     let mut csv = String::from("stage,numbers,max_error,rms_error,lost,nanos_per_value\n");
     let mut table = String::from("stage              numbers          max error   rms error   lost  ns/value\n");
     for r in &rungs {

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::skips::Skips;
+
 /// What decides a fit, besides the data. Shares are of the fit's length.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -62,6 +64,8 @@ pub struct Settings {
     pub mask_every: u64,
     /// Learning rate of memberships.
     pub mask_rate: f32,
+    /// What is left out.
+    pub skips: Skips,
 }
 
 impl Default for Settings {
@@ -95,6 +99,7 @@ impl Default for Settings {
             pose_rate: [2e-4, 5e-5],
             mask_every: 8,
             mask_rate: 0.05,
+            skips: Skips::default(),
         }
     }
 }

@@ -16,16 +16,18 @@ mod sheets;
 use std::path::{Path, PathBuf};
 
 use glam::{DVec2, DVec3};
-use risorius_formats::{Camera, Intrinsics, Reporter, atomic};
+use risorius_formats::{Camera, Intensity, Intrinsics, Reporter, atomic};
 use serde::Serialize;
 use serde_json::json;
 
 use self::sheets::Sheet;
 use super::transfer::Driver;
-use crate::avatar::{Avatar, Render};
+use crate::avatar::Avatar;
 use crate::error::{Result, TrainerError};
+use crate::expression::Expression;
+use crate::field::{Look, Outputs, Render};
 use crate::path::Orbit;
-use crate::studio::{Look, Studio};
+use crate::studio::Studio;
 
 /// Frames per second of animations.
 const FPS: f64 = 25.0;
@@ -176,17 +178,18 @@ struct View<'a> {
 
 impl<'a> View<'a> {
     fn new(avatar: &'a Avatar, camera: Camera, reporter: &dyn Reporter) -> Result<Self> {
-        let mut studio = Studio::new(avatar, Look { full: true, ..Look::default() });
-        let rest = take(&mut studio, &camera, &avatar.neutral_attributes(), reporter)?;
+        let outputs = Outputs { depth: true, ..Outputs::default() };
+        let mut studio = Studio::new(avatar, Look { full: true, outputs, ..Look::default() });
+        let rest = take(&mut studio, &camera, &avatar.neutral(), reporter)?;
         Ok(Self { camera, studio, rest })
     }
 }
 
-fn take(studio: &mut Studio<'_>, camera: &Camera, attributes: &[f32], reporter: &dyn Reporter) -> Result<Render> {
+fn take(studio: &mut Studio<'_>, camera: &Camera, expression: &Expression, reporter: &dyn Reporter) -> Result<Render> {
     if reporter.cancelled() {
         return Err(TrainerError::Interrupted { done: "part of a bake; nothing was written".to_owned() });
     }
-    let render = studio.render(camera, attributes, reporter)?;
+    let render = studio.render(camera, expression, reporter)?;
     reporter.advance(1);
     Ok(render)
 }
@@ -202,7 +205,7 @@ fn bake_view(
     reporter: &dyn Reporter,
 ) -> Result<()> {
     let View { camera, studio, rest } = view;
-    let neutral = avatar.neutral_attributes();
+    let neutral = avatar.neutral();
     let (width, height) = (rest.rgb.width() as usize, rest.rgb.height() as usize);
     let mut wanted = vec![triangles.is_none(); width * height];
     triangles.iter().copied().flatten().flatten().for_each(|&i| wanted[i] = true);
@@ -228,12 +231,9 @@ fn bake_view(
     baked.colors.extend(pixels.iter().map(|(i, _)| linear(rest, *i)));
     for (target, &k) in active.iter().enumerate() {
         let spec = &avatar.saved.table.attributes[k];
-        let mut raised = neutral.clone();
-        let half = spec.neutral + (spec.au_max - spec.neutral) / 2.0;
-        raised[k] = avatar.attribute_from_intensity(spec, half);
-        let half_way = take(studio, camera, &raised, reporter)?;
-        raised[k] = avatar.attribute_from_intensity(spec, spec.au_max);
-        let full = take(studio, camera, &raised, reporter)?;
+        let half = Intensity(f32::midpoint(spec.neutral, spec.au_max));
+        let half_way = take(studio, camera, &neutral.with(k, half), reporter)?;
+        let full = take(studio, camera, &neutral.with(k, spec.scale().most()), reporter)?;
         for (v, (i, direction)) in pixels.iter().enumerate() {
             let from = baked.positions[first + v];
             let depth = if full.depth[*i] > 0.0 { full.depth[*i] } else { rest.depth[*i] };

@@ -1,16 +1,14 @@
-//! A driver's intensities become an avatar's attributes, with an account of what did not fit.
+//! A driver's intensities become an avatar's expressions, with an account of what did not fit.
 
 use std::collections::BTreeSet;
 
 use risorius_formats::curves::interpolate;
-use risorius_formats::{ActionUnit, AttributeSpec};
+use risorius_formats::{ActionUnit, AttributeSpec, Intensity};
 use serde::Serialize;
 
 use super::{Driver, Range};
 use crate::avatar::Avatar;
-
-/// Intensities this far beyond a range are not counted: the noise of trackers.
-const TOLERANCE: f32 = 0.05;
+use crate::expression::{Expression, TOLERANCE};
 
 /// How one AU was carried over.
 #[derive(Clone, Debug, Serialize)]
@@ -19,7 +17,7 @@ pub struct DrivenUnit {
     pub unit: ActionUnit,
     /// Smallest and largest intensity of the driver, 0–5.
     pub driver: [f32; 2],
-    /// Smallest and largest intensity that count as −1 and as the top of the avatar's attribute.
+    /// Smallest and largest intensity that count as the avatar's least and most.
     pub range: [f32; 2],
     /// Share of pictures beyond the range, clamped to it.
     pub beyond_share: f64,
@@ -27,23 +25,20 @@ pub struct DrivenUnit {
     pub beyond_most: f32,
 }
 
-/// An avatar's attributes for every picture.
+/// An avatar's expression for every picture.
 pub struct Fitted {
-    /// K attributes per picture.
-    pub attributes: Vec<Vec<f32>>,
+    /// One per picture.
+    pub expressions: Vec<Expression>,
     /// The AUs that drive.
     pub units: Vec<DrivenUnit>,
     /// AUs that the driver moves and the avatar never did.
     pub unknown: BTreeSet<ActionUnit>,
 }
 
-/// Attributes at the given times.
+/// Expressions at the given times.
 pub(super) fn fit(avatar: &Avatar, driver: &Driver, range: Range, times_secs: &[f64]) -> Fitted {
-    let mut fitted = Fitted {
-        attributes: vec![avatar.neutral_attributes(); times_secs.len()],
-        units: Vec::new(),
-        unknown: BTreeSet::new(),
-    };
+    let mut fitted =
+        Fitted { expressions: vec![avatar.neutral(); times_secs.len()], units: Vec::new(), unknown: BTreeSet::new() };
     for (k, spec) in avatar.saved.table.attributes.iter().enumerate() {
         let Some(curve) = driver.intensities.get(&spec.unit) else { continue };
         let (low, high) = curve.iter().fold((f32::MAX, f32::MIN), |(l, h), &v| (l.min(v), h.max(v)));
@@ -65,8 +60,9 @@ pub(super) fn fit(avatar: &Avatar, driver: &Driver, range: Range, times_secs: &[
         let values: Vec<f32> = times_secs.iter().map(|t| interpolate(&driver.times_secs, curve, *t)).collect();
         let beyond: Vec<f32> =
             values.iter().map(|v| (v - used.au_max).max(used.au_min - v)).filter(|b| *b > TOLERANCE).collect();
-        for (attributes, value) in fitted.attributes.iter_mut().zip(&values) {
-            attributes[k] = avatar.attribute_from_intensity(&used, *value);
+        let (from, to) = (used.scale(), spec.scale());
+        for (expression, value) in fitted.expressions.iter_mut().zip(&values) {
+            expression.0[k] = from.carried_to(&to, Intensity(*value));
         }
         fitted.units.push(DrivenUnit {
             unit: spec.unit,

@@ -15,14 +15,16 @@ use serde::{Deserialize, Serialize};
 pub use driver::Driver;
 pub use fit::{DrivenUnit, Fitted};
 
-use super::render::{Sink, warn_unknown, write_png};
+use super::render::{Sink, write_png};
 use crate::avatar::Avatar;
 use crate::error::{Result, TrainerError};
 use crate::eval::{self, Evaluation, ViewScore};
+use crate::expression::Unseen;
+use crate::field::{Look, Outputs};
 use crate::path::turned;
-use crate::studio::{Look, Studio};
+use crate::studio::Studio;
 
-/// Whose range turns the driver's intensities into attributes.
+/// Whose range turns the driver's intensities into the avatar's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Range {
@@ -136,7 +138,7 @@ pub fn transfer(
         for (n, named) in avatars.iter().enumerate() {
             let saved = &named.avatar.saved;
             let camera = turned(&Camera::from(&saved.default_camera), saved.center_in_world, turn);
-            let (picture, _) = studios[n].picture_and_maps(&camera, &fitted[n].attributes[i], reporter)?;
+            let (picture, _) = studios[n].picture_and_maps(&camera, &fitted[n].expressions[i], reporter)?;
             let angle = glam::DQuat::from_mat3(&turn).to_axis_angle().1.abs();
             unseen[n] += usize::from(angle > saved.orbit_rad[0].max(saved.orbit_rad[1]) / 0.75);
             if let Some(folder) = folder_of(&named.name) {
@@ -181,10 +183,10 @@ pub fn transfer(
     })
 }
 
-/// Attributes of an avatar, with its warnings; an error where nothing drives it.
+/// Expressions of an avatar, with its warnings; an error where nothing drives it.
 fn fitted(named: &Named<'_>, driver: &Driver, range: Range, times: &[f64], reporter: &dyn Reporter) -> Result<Fitted> {
     let fitted = fit::fit(named.avatar, driver, range, times);
-    warn_unknown(&fitted.unknown, reporter);
+    Unseen { inactive: fitted.unknown.clone(), ..Unseen::default() }.warn(reporter);
     for u in fitted.units.iter().filter(|u| u.beyond_share > 0.0) {
         let message = format!(
             "{}: {} of the driver goes {:.1} beyond {:.1}–{:.1} in {:.0} % of the pictures; clamped",
@@ -244,12 +246,13 @@ pub fn transfer_views(
     }
     let fitted = fitted(avatar, driver, range, &times, reporter)?;
     let base = list.parent().unwrap_or(Path::new("."));
-    let mut studio = Studio::new(avatar.avatar, Look::default());
+    let outputs = Outputs { depth: true, masks: true, head: false };
+    let mut studio = Studio::new(avatar.avatar, Look { outputs, ..Look::default() });
     let mut scores = Vec::new();
     reporter.stage("render", Some(views.views.len() as u64));
-    for (view, attributes) in views.views.iter().zip(&fitted.attributes) {
+    for (view, expression) in views.views.iter().zip(&fitted.expressions) {
         let camera = Camera::from(&view.camera);
-        let (picture, maps) = studio.picture_and_maps(&camera, attributes, reporter)?;
+        let (picture, maps) = studio.picture_and_maps(&camera, expression, reporter)?;
         write_png(&folder.join(format!("{}.png", view.id)), &picture)?;
         if let Some(image) = &view.image {
             let path = base.join(image);

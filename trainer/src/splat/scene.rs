@@ -1,0 +1,75 @@
+//! A dataset as the Gaussian field sees it: metres, activations, masks.
+
+use risorius_formats::{AuScale, Isometry};
+use risorius_splat::model::REGIONS;
+use risorius_splat::{Frame, Plate as PlateOfScene, Scene};
+
+use super::plate::Plate;
+use super::space::MetricSpace;
+use crate::data::{TrainData, TrainFrame};
+use crate::error::{Result, TrainerError};
+
+/// What is derived from a dataset once, and the scene's pictures point into.
+#[derive(Debug)]
+pub struct SceneData<'a> {
+    data: &'a TrainData,
+    /// The Gaussians' space.
+    pub space: MetricSpace,
+    /// What is behind the head, if the camera stands still.
+    pub plate: Option<Plate>,
+}
+
+impl<'a> SceneData<'a> {
+    /// Refuses what the field cannot hold.
+    pub fn new(data: &'a TrainData) -> Result<Self> {
+        if data.table.regions.len() > REGIONS {
+            return Err(TrainerError::Dataset {
+                path: data.dir.clone(),
+                message: format!("has {} regions, the Gaussian field holds {REGIONS}", data.table.regions.len()),
+                hint: "use `--field confies`".to_owned(),
+            });
+        }
+        Ok(Self { data, space: MetricSpace::of(data), plate: Plate::of(data) })
+    }
+
+    /// The scene to fit.
+    pub fn scene(&self) -> Scene<'_> {
+        let Self { data, space, plate } = self;
+        let scales: Vec<AuScale> = data.table.attributes.iter().map(AuScale::new).collect();
+        let known = data.has_intensities();
+        let hull = data.extras().and_then(|e| e.head_hull_in_world.as_ref());
+        Scene {
+            frames: data.frames.iter().map(|f| frame_of(f, space, &scales, known)).collect(),
+            region_of: data.table.attributes.iter().map(|a| a.region).collect(),
+            regions: data.table.regions.len(),
+            face_radius_m: space.face_radius_m(data) as f32,
+            head_hull: hull.map(|corners| corners.iter().map(|c| space.point(*c)).collect()),
+            plate: plate.as_ref().map(|p| PlateOfScene {
+                width: p.width as usize,
+                height: p.height as usize,
+                rgb: &p.rgb,
+            }),
+            neutral_frame: data.neutral_frame(),
+        }
+    }
+}
+
+fn frame_of<'a>(frame: &'a TrainFrame, space: &MetricSpace, scales: &[AuScale], known: bool) -> Frame<'a> {
+    let activations = match (&frame.intensities, &frame.attributes) {
+        (Some(intensities), Some(_)) if known => {
+            Some(scales.iter().zip(intensities).map(|(s, i)| s.activation(*i).0).collect())
+        }
+        (_, attributes) => attributes
+            .as_ref()
+            .map(|all| scales.iter().zip(all).map(|(s, a)| s.activation_from_attribute(*a).0).collect()),
+    };
+    Frame {
+        camera: space.camera(&frame.camera),
+        room_from_head: Isometry::IDENTITY,
+        rgb: &frame.pixels,
+        valid: frame.valid.as_deref(),
+        labels: frame.labels.as_deref(),
+        activations,
+        landmarks_px: frame.landmarks_px,
+    }
+}
