@@ -55,7 +55,7 @@ fn main() {
     drop(std::mem::take(&mut r.b));
     let t = std::time::Instant::now(); let c = cpu();
     let out = start(&scene, &StartSettings::default(), &|s| println!("  {:.2} s (cpu {:.2}): {s}", t.elapsed().as_secs_f64(), cpu() - c));
-    println!("start: wall {:.2} s, cpu {:.2} s, seeds {}, deformable {}, head>0.5 {}", t.elapsed().as_secs_f64(), cpu() - c, out.seeds.len(), out.seeds.iter().filter(|s| s.deformable).count(), out.seeds.iter().filter(|s| s.head_weight > 0.5).count());
+    println!("mouth {:?}\nstart: wall {:.2} s, cpu {:.2} s, seeds {}, deformable {}, head>0.5 {}", out.mouth, t.elapsed().as_secs_f64(), cpu() - c, out.seeds.len(), out.seeds.iter().filter(|s| s.deformable).count(), out.seeds.iter().filter(|s| s.head_weight > 0.5).count());
     let mut f = std::io::BufWriter::new(std::fs::File::create(&args[2]).unwrap());
     let p = |f: &mut dyn Write, v: f32| f.write_all(&v.to_le_bytes()).unwrap();
     f.write_all(&(out.seeds.len() as u32).to_le_bytes()).unwrap();

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use crate::TILE;
 use crate::model::{Gaussians, LANES};
 use crate::project::{Active, project_group, record};
-use crate::simd::{self, F, Row, Simd, Task};
+use crate::simd::{self, F, Row, Simd, Task, prefetch};
 use crate::view::{NEAR_M, View};
 
 /// Blocks of 4×4 pixels along a tile's edge.
@@ -71,6 +71,7 @@ pub(crate) struct Bins {
 }
 
 struct ProjectChunk<'a> {
+    which: Option<&'a [bool]>,
     model: &'a Gaussians,
     view: &'a View,
     active: &'a [Active],
@@ -87,6 +88,9 @@ impl Task for ProjectChunk<'_> {
         let mut rows = [[0.0f32; 16]; LANES];
         for (i, lines) in self.records.chunks_exact_mut(LANES).enumerate() {
             let g = self.first_group + i;
+            if self.which.is_some_and(|w| !w[g]) {
+                continue;
+            }
             let mut bits = project_group::<S>(self.model, self.view, self.active, g, &mut rows);
             while bits != 0 {
                 let lane = bits.trailing_zeros() as usize;
@@ -99,21 +103,21 @@ impl Task for ProjectChunk<'_> {
 }
 
 /// A key that rises with depth: the leading bits of the float's pattern.
-fn depth_key(depth: f32) -> u32 {
+pub(crate) fn depth_key(depth: f32) -> u32 {
     const SHIFT: u32 = 6;
     ((depth.max(NEAR_M).to_bits() - NEAR_M.to_bits()) >> SHIFT).min((1 << KEY_BITS) - 1)
 }
 
 impl Bins {
-    /// Projects and bins `model` for a view.
-    pub(crate) fn fill(&mut self, model: &Gaussians, view: &View, active: &[Active]) {
+    /// Projects and bins `model` for a view: all its groups, or those that `which` names.
+    pub(crate) fn fill(&mut self, model: &Gaussians, view: &View, active: &[Active], which: Option<&[bool]>) {
         let groups = model.groups();
         self.records.resize(groups * LANES, Line::ZERO);
         self.lists.resize_with(PROJECT_CHUNKS, Vec::new);
         let per_chunk = groups.div_ceil(PROJECT_CHUNKS).max(1);
         self.records.par_chunks_mut(per_chunk * LANES).zip(self.lists.par_iter_mut()).enumerate().for_each(
             |(i, (records, list))| {
-                simd::run(ProjectChunk { model, view, active, first_group: i * per_chunk, records, list });
+                simd::run(ProjectChunk { which, model, view, active, first_group: i * per_chunk, records, list });
             },
         );
         self.visible.clear();
@@ -244,6 +248,26 @@ fn sort_by_key(list: &mut Vec<(u32, u32)>, scratch: &mut Vec<(u32, u32)>) {
     }
 }
 
+/// Records are fetched this many Gaussians ahead.
+const AHEAD: usize = 12;
+
+/// The first block of four pixels whose centres reach beyond `p`.
+#[inline(always)]
+fn first_block(p: f32) -> i32 {
+    // Rounded up: a truncated number that is not negative, one more where something was cut off.
+    let x = ((p - 3.5) * 0.25).clamp(0.0, 1e6);
+    let whole = x as i32;
+    whole + i32::from(x > whole as f32)
+}
+
+/// The last block of four pixels, of `most`, whose centres begin before `p`; −1 if there is none.
+#[inline(always)]
+fn last_block(p: f32, most: i32) -> i32 {
+    let x = ((p - 0.5) * 0.25).clamp(-1.0, 1e6);
+    let whole = x as i32;
+    (whole - i32::from(x < whole as f32)).min(most - 1)
+}
+
 struct EmitChunk<'a> {
     view: &'a View,
     records: &'a [Line],
@@ -268,15 +292,15 @@ impl Task for EmitChunk<'_> {
         let lanes = F::<S>::load(&lanes);
         // The leftmost and rightmost blocks of 16 rows of blocks.
         let (mut left, mut right) = ([0.0f32; 16], [0.0f32; 16]);
-        for &(_, slot) in self.list {
+        for (i, &(_, slot)) in self.list.iter().enumerate() {
+            if let Some(&(_, later)) = self.list.get(i + AHEAD) {
+                prefetch::<S, Line>(self.records, later as usize);
+            }
             let r = &self.records[slot as usize].0;
             let (u, v) = (r[record::U], r[record::V]);
             let (hw, hh) = (r[record::HALF], r[record::HALF + 1]);
-            // The first and last blocks whose pixels' centres reach into the box.
-            let first = |p: f32, half: f32| ((p - half - 3.5) * 0.25).ceil().max(0.0) as i32;
-            let last = |p: f32, half: f32, most: i32| (((p + half - 0.5) * 0.25).floor().min(1e6) as i32).min(most - 1);
-            let (x0, x1) = (first(u, hw), last(u, hw, block_columns));
-            let (y0, y1) = (first(v, hh), last(v, hh, block_rows));
+            let (x0, x1) = (first_block(u - hw), last_block(u + hw, block_columns));
+            let (y0, y1) = (first_block(v - hh), last_block(v + hh, block_rows));
             if x0 > x1 || y0 > y1 {
                 continue;
             }

@@ -80,8 +80,8 @@ fn pictures_are_those_of_the_twin_for_every_instruction_set() {
         let wanted = reference::picture(&model, &camera, &head(), &activations(), [f64::from(BACKDROP); 3]);
         for level in LEVELS {
             let _held = simd::hold(level);
-            let picture = Renderer::new(Skips::default())
-                .draw(&model, &camera, &head(), &ACTIVATIONS, None, Outputs::default())
+            let picture = Renderer::new(&model, Skips::default())
+                .draw(&camera, &head(), &ACTIVATIONS, None, Outputs::default())
                 .clone();
             let worst = picture
                 .rgb
@@ -100,8 +100,8 @@ fn depth_and_masks_are_composited_with_the_colours_weights() {
     let model = random_model(5, 64);
     let camera = camera(false);
     let outputs = Outputs { depth: true, masks: true, head: true };
-    let mut renderer = Renderer::new(Skips::default());
-    let picture = renderer.draw(&model, &camera, &head(), &ACTIVATIONS, None, outputs);
+    let mut renderer = Renderer::new(&model, Skips::default());
+    let picture = renderer.draw(&camera, &head(), &ACTIVATIONS, None, outputs);
     let list = reference::project_all(&model, &camera, &head(), &activations());
     for (at, &t) in picture.transmittance.iter().enumerate() {
         let pixel = DVec2::new((at % 52) as f64 + 0.5, (at / 52) as f64 + 0.5);
@@ -134,7 +134,7 @@ fn kernel_gradients(model: &Gaussians, camera: &Camera, wanted: &[u8]) -> Backwa
     let view = View::new(camera, &head());
     let active = active_bases(&model.layout, &ACTIVATIONS);
     let mut bins = Bins::default();
-    bins.fill(model, &view, &active);
+    bins.fill(model, &view, &active, None);
     let mut sums = vec![Line::ZERO; bins.slots.len()];
     let target = Target { rgb: wanted, valid: None, backdrop: None, width: view.width, reduce: 1 };
     let columns = view.columns();
@@ -318,5 +318,29 @@ fn gradients_of_activations_and_poses_are_the_twins() {
             reference::project(&model, slot, &camera, &turned.compose(&head()), &activations())
         };
         close(kernel.whole.head[i], along(&twin, of, |_| 2.0 * h), &format!("head {i}"));
+    }
+}
+
+#[test]
+fn edits_with_a_still_camera_are_whole_pictures_to_the_bit() {
+    let mut model = random_model(21, 160);
+    // Regions that meet only in part.
+    for g in 0..model.deformable {
+        for n in 0..REGIONS {
+            if (g + n) % 2 == 0 {
+                model.gates[(g * REGIONS + n) * LANES..(g * REGIONS + n + 1) * LANES].fill(0.0);
+            }
+        }
+    }
+    let camera = camera(true);
+    let mut renderer = Renderer::new(&model, Skips::default());
+    let mut activations = ACTIVATIONS;
+    for (k, value) in [(0, 0.2), (1, 0.9), (1, 0.0), (2, 0.6), (3, 0.5), (0, 0.2), (7, 0.3), (4, 0.0)] {
+        activations[k] = value;
+        let edited = renderer.draw(&camera, &head(), &activations, None, Outputs::default()).clone();
+        let whole = Renderer::new(&model, Skips { unchanged: false, ..Skips::default() })
+            .draw(&camera, &head(), &activations, None, Outputs::default())
+            .clone();
+        assert_eq!(edited, whole, "basis {k} to {value}");
     }
 }

@@ -14,6 +14,7 @@
 mod backward;
 mod bin;
 pub mod fit;
+pub mod floor;
 pub mod init;
 #[cfg(test)]
 mod kernel_tests;

@@ -47,19 +47,41 @@ pub struct Picture {
     pub head: Vec<[f32; 4]>,
 }
 
-/// Draws picture after picture, each anew only where it differs from the one before.
-#[derive(Debug, Default)]
-pub struct Renderer {
+/// Draws picture after picture of a model, each anew only where it differs from the one before.
+#[derive(Debug)]
+pub struct Renderer<'a> {
+    model: &'a Gaussians,
     skips: Skips,
+    /// Per deformable group, a bit for each region whose AUs move it, and one for the latent code.
+    moved_by: Vec<u8>,
+    /// All groups, or, while the camera stands still and one region's AUs change, those that stay.
     bins: Bins,
+    /// The groups that move with the regions of `last`.
+    moving: Bins,
+    last: Option<Last>,
     tiles: Vec<Tile>,
     extras: Vec<Extra>,
     picture: Picture,
 }
 
+/// What the picture before was of.
+#[derive(Debug)]
+struct Last {
+    view: View,
+    activations: Vec<f32>,
+    backdrop: Option<Vec<u8>>,
+    outputs: Outputs,
+    /// Regions whose groups are in `moving`; 0 while all are in `bins`.
+    regions: u8,
+}
+
 /// A row of tiles to be drawn into bytes.
 struct DrawRow<'a> {
     bins: &'a Bins,
+    /// The Gaussians that are kept apart, if some are.
+    moving: Option<&'a Bins>,
+    /// Which of the row's tiles to draw; all if this is not said.
+    which: Option<&'a [bool]>,
     row: usize,
     columns: usize,
     width: usize,
@@ -74,10 +96,16 @@ impl Task for DrawRow<'_> {
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self) {
-        let Self { bins, row, columns, width, height, backdrop, rgb, transmittance, tile } = self;
+        let Self { bins, moving, which, row, columns, width, height, backdrop, rgb, transmittance, tile } = self;
         for column in 0..columns {
             let index = row * columns + column;
-            tile.load(bins, index, columns);
+            if which.is_some_and(|w| !w[index]) {
+                continue;
+            }
+            match moving {
+                Some(moving) => tile.load_both(bins, moving, index, columns),
+                None => tile.load(bins, index, columns),
+            }
             tile.composite::<S>(width, height);
             for block in 0..TILE_BLOCKS {
                 let (x0, y0) = (tile.left + block % 4 * 4, block / 4 * 4);
@@ -110,17 +138,41 @@ impl Task for DrawRow<'_> {
     }
 }
 
-impl Renderer {
-    /// A renderer that holds nothing yet.
-    pub fn new(skips: Skips) -> Self {
-        Self { skips, ..Self::default() }
+/// The bit of the latent code beside those of the regions.
+const CODE: u8 = 1 << REGIONS;
+
+impl<'a> Renderer<'a> {
+    /// A renderer of `model` that holds no picture yet.
+    pub fn new(model: &'a Gaussians, skips: Skips) -> Self {
+        let moved_by = (0..model.deformable)
+            .map(|g| {
+                let gates = &model.gates[g * REGIONS * LANES..(g + 1) * REGIONS * LANES];
+                let moves = |n: usize| gates[n * LANES..(n + 1) * LANES].iter().any(|v| *v > 0.0);
+                (0..REGIONS).filter(|&n| moves(n)).fold(CODE, |bits, n| bits | 1 << n)
+            })
+            .collect();
+        Self {
+            model,
+            skips,
+            moved_by,
+            bins: Bins::default(),
+            moving: Bins::default(),
+            last: None,
+            tiles: Vec::new(),
+            extras: Vec::new(),
+            picture: Picture::default(),
+        }
     }
 
-    /// The picture that `camera` takes of `model`; `activations` are those of the AUs, then (if there are as many as
+    /// The model.
+    pub fn model(&self) -> &'a Gaussians {
+        self.model
+    }
+
+    /// The picture that `camera` takes; `activations` are those of the AUs, then (if there are as many as
     /// [`crate::Layout::bases`]) of the latent code; `backdrop` (row-major RGB bytes of the picture's size) is behind everything.
     pub fn draw(
         &mut self,
-        model: &Gaussians,
         camera: &Camera,
         room_from_head: &Isometry,
         activations: &[f32],
@@ -128,19 +180,64 @@ impl Renderer {
         outputs: Outputs,
     ) -> &Picture {
         let view = View::new(camera, room_from_head);
-        let active = active_bases(&model.layout, activations);
-        self.bins.fill(model, &view, &active);
-        self.composite(&view, backdrop);
-        self.picture.depth.clear();
-        self.picture.masks.clear();
-        self.picture.head.clear();
-        if outputs.any() {
-            self.composite_extras(model, &view, outputs);
+        let backdrop = backdrop.filter(|b| b.len() == view.width * view.height * 3);
+        let active = active_bases(&self.model.layout, activations);
+        let same = self.last.take().filter(|l| {
+            self.skips.unchanged && l.view == view && l.backdrop.as_deref() == backdrop && l.outputs == outputs
+        });
+        let changed = same.as_ref().map(|l| self.changed_regions(&l.activations, activations));
+        let mut regions = 0;
+        match (same, changed) {
+            (Some(last), Some(0)) => regions = last.regions,
+            (Some(last), Some(now)) if now & CODE == 0 && !outputs.any() => {
+                regions = self.edit(&view, &active, backdrop, last.regions, now);
+            }
+            _ => {
+                self.bins.fill(self.model, &view, &active, None);
+                self.composite(&view, backdrop, false, None);
+                self.picture.depth.clear();
+                self.picture.masks.clear();
+                self.picture.head.clear();
+                if outputs.any() {
+                    self.composite_extras(&view, outputs);
+                }
+            }
         }
+        let (activations, backdrop) = (activations.to_vec(), backdrop.map(<[u8]>::to_vec));
+        self.last = Some(Last { view, activations, backdrop, outputs, regions });
         &self.picture
     }
 
-    fn composite(&mut self, view: &View, backdrop: Option<&[u8]>) {
+    /// A bit for each region with an AU that acts otherwise than before, and for the code.
+    fn changed_regions(&self, before: &[f32], now: &[f32]) -> u8 {
+        let layout = &self.model.layout;
+        let at = |list: &[f32], k: usize| list.get(k).copied().unwrap_or(0.0);
+        let region = |k: usize| layout.region_of.get(k).map_or(CODE, |&r| 1 << r);
+        (0..layout.bases()).filter(|&k| at(before, k) != at(now, k)).fold(0, |bits, k| bits | region(k))
+    }
+
+    /// Draws what an edit of the `now` regions' AUs changes; groups that move with them are kept apart from then on.
+    fn edit(&mut self, view: &View, active: &[Active], backdrop: Option<&[u8]>, before: u8, now: u8) -> u8 {
+        let regions = if now & !before == 0 { before } else { now };
+        let apart: Vec<bool> = (0..self.model.groups())
+            .map(|g| self.moved_by.get(g).is_some_and(|bits| bits & regions != 0))
+            .collect();
+        if regions != before {
+            let rest: Vec<bool> = apart.iter().map(|a| !a).collect();
+            self.bins.fill(self.model, view, active, Some(&rest));
+            self.moving.fill(self.model, view, active, Some(&apart));
+            self.composite(view, backdrop, true, None);
+            return regions;
+        }
+        let meets = |bins: &Bins, tile: usize| !bins.entries(tile).is_empty();
+        let mut which: Vec<bool> = (0..view.tiles()).map(|t| meets(&self.moving, t)).collect();
+        self.moving.fill(self.model, view, active, Some(&apart));
+        which.iter_mut().enumerate().for_each(|(t, w)| *w |= meets(&self.moving, t));
+        self.composite(view, backdrop, true, Some(&which));
+        regions
+    }
+
+    fn composite(&mut self, view: &View, backdrop: Option<&[u8]>, apart: bool, which: Option<&[bool]>) {
         let (width, height) = (view.width, view.height);
         let columns = view.columns();
         let rows = height.div_ceil(crate::TILE);
@@ -150,6 +247,7 @@ impl Renderer {
         picture.transmittance.resize(width * height, 0.0);
         self.tiles.resize_with(rows.max(self.tiles.len()), Tile::default);
         let bins = &self.bins;
+        let moving = apart.then_some(&self.moving);
         let band = crate::TILE * width;
         picture
             .rgb
@@ -158,11 +256,12 @@ impl Renderer {
             .zip(&mut self.tiles)
             .enumerate()
             .for_each(|(row, ((rgb, transmittance), tile))| {
-                simd::run(DrawRow { bins, row, columns, width, height, backdrop, rgb, transmittance, tile });
+                simd::run(DrawRow { bins, moving, which, row, columns, width, height, backdrop, rgb, transmittance, tile });
             });
     }
 
-    fn composite_extras(&mut self, model: &Gaussians, view: &View, outputs: Outputs) {
+    fn composite_extras(&mut self, view: &View, outputs: Outputs) {
+        let model = self.model;
         let (width, height) = (view.width, view.height);
         let columns = view.columns();
         self.extras.resize(width * height, [0.0; EXTRAS]);
@@ -206,10 +305,7 @@ impl Renderer {
 
 /// What each pixel of a picture without expression lets through.
 pub(crate) fn transmittance(model: &Gaussians, camera: &Camera, room_from_head: &Isometry) -> Vec<f32> {
-    let mut renderer = Renderer::default();
-    let none: &[Active] = &[];
-    let view = View::new(camera, room_from_head);
-    renderer.bins.fill(model, &view, none);
-    renderer.composite(&view, None);
-    std::mem::take(&mut renderer.picture.transmittance)
+    let mut renderer = Renderer::new(model, Skips::default());
+    renderer.draw(camera, room_from_head, &[], None, Outputs::default());
+    renderer.picture.transmittance
 }

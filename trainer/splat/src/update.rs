@@ -7,7 +7,7 @@ use crate::backward::{Gradients, backward, gather};
 use crate::bin::{Bins, Line};
 use crate::model::{DELTAS, Gaussians, LANES, REGIONS, channel};
 use crate::project::{Active, blend, geometry};
-use crate::simd::{self, F, M, Simd, Task, rows, rows_mut};
+use crate::simd::{self, F, M, Simd, Task, prefetch, rows, rows_mut};
 use crate::view::View;
 
 /// Groups are updated in this many chunks; what they sum up is added in their order.
@@ -217,6 +217,7 @@ impl Task for UpdateChunk<'_> {
             if seen == 0 {
                 continue;
             }
+            prefetch_sums::<S>(evidence, g + 2);
             let at = i * row..(i + 1) * row;
             let own = Own { base: &mut part.base[at.clone()], first: &mut first[at.clone()], second: &mut second[at] };
             let deltas = (g < fixed.deformable).then(|| {
@@ -231,6 +232,20 @@ impl Task for UpdateChunk<'_> {
             group::<S>(fixed, evidence, g, seen, own, deltas, movement, &mut whole);
         }
         whole
+    }
+}
+
+/// Fetches the sums of a group that comes later.
+#[inline(always)]
+fn prefetch_sums<S: Simd>(evidence: &Evidence<'_>, g: usize) {
+    let bins = evidence.bins;
+    let slots = g * LANES..(g + 1) * LANES;
+    let (Some(first), Some(count)) = (bins.first.get(slots.clone()), bins.count.get(slots)) else { return };
+    for (&first, &count) in first.iter().zip(count) {
+        let from = first as usize;
+        for &at in bins.position.get(from..from + (count as usize).min(4)).unwrap_or_default() {
+            prefetch::<S, Line>(evidence.sums, at as usize);
+        }
     }
 }
 

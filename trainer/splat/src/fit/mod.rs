@@ -164,7 +164,7 @@ impl Fitter {
         let view = View::new(&camera, &room_from_head);
         let activations = self.activations(frame, image, coded);
         let active = active_bases(&self.model.layout, &activations);
-        self.work.bins.fill(&self.model, &view, &active);
+        self.work.bins.fill(&self.model, &view, &active, None);
         let target = Target {
             rgb: frame.rgb,
             valid: frame.valid,

@@ -81,6 +81,16 @@ fn from_cameras(scene: &Scene<'_>) -> DMat3 {
 
 /// Fills in the region shares of the seeds and whether they may carry deltas.
 pub(crate) fn label(scene: &Scene<'_>, head_poses: &[Isometry], axes: &Axes, seeds: &mut [Seed]) {
+    shares(scene, head_poses, seeds);
+    let Some([low, high]) = face_box(axes, seeds) else { return };
+    for seed in seeds {
+        let p = axes.rotation * DVec3::from(seed.mean.map(f64::from));
+        seed.deformable = p.cmpge(low).all() && p.cmple(high).all();
+    }
+}
+
+/// Fills in the region shares of the seeds.
+pub(crate) fn shares(scene: &Scene<'_>, head_poses: &[Isometry], seeds: &mut [Seed]) {
     let with_masks: Vec<usize> = (0..scene.frames.len()).filter(|&i| scene.frames[i].labels.is_some()).collect();
     let step = with_masks.len().div_ceil(MASK_FRAMES).max(1);
     let views: Vec<(usize, Isometry)> = with_masks
@@ -88,15 +98,7 @@ pub(crate) fn label(scene: &Scene<'_>, head_poses: &[Isometry], axes: &Axes, see
         .step_by(step)
         .map(|&i| (i, camera_from_head(&scene.frames[i].camera, &head_poses[i])))
         .collect();
-    let shares: Vec<[f32; REGIONS]> = seeds.par_iter().map(|s| shares_of(scene, &views, s)).collect();
-    for (seed, shares) in seeds.iter_mut().zip(&shares) {
-        seed.regions = *shares;
-    }
-    let Some([low, high]) = face_box(axes, seeds) else { return };
-    for seed in seeds {
-        let p = axes.rotation * DVec3::from(seed.mean.map(f64::from));
-        seed.deformable = p.cmpge(low).all() && p.cmple(high).all();
-    }
+    seeds.par_iter_mut().for_each(|s| s.regions = shares_of(scene, &views, s));
 }
 
 /// The share of masks, of those that see the seed from the front, that have it in each region.

@@ -7,9 +7,13 @@ use risorius_formats::Isometry;
 use super::view::View;
 
 /// Maps that a pixel is compared with.
-const COMPARED: usize = 6;
-/// How many of them must agree.
-const AGREEING: usize = 2;
+const COMPARED: usize = 12;
+/// How many of them must agree on what is near, and on what is far: behind a head few maps see the same wall.
+const AGREEING: [usize; 2] = [2, 1];
+/// Half the side of the window that maps are smoothed over, pixels.
+const SMOOTHED: usize = 2;
+/// Pixels of this window that must lie behind for an edge.
+const EDGE: u32 = 4;
 
 /// The depth map of a view.
 #[derive(Clone, Debug)]
@@ -34,11 +38,6 @@ pub(crate) struct Point {
 }
 
 impl DepthMap<'_> {
-    fn point(&self, x: usize, y: usize, from_camera: &Isometry) -> Option<(DVec3, f64)> {
-        let inverse = f64::from(self.inverse[y * self.view.width + x]);
-        (inverse > 0.0).then(|| (from_camera.transform_point(self.view.ray(x, y) / inverse), inverse))
-    }
-
     /// How the depth of `point` compares with this map: the inverse depth there less its own; `None` where the map does
     /// not see it.
     fn compare(&self, point: DVec3) -> Option<(f64, f64)> {
@@ -53,35 +52,72 @@ fn tolerance(inverse: f64, step: f64) -> f64 {
     (0.012 * inverse).max(1.02 * step)
 }
 
-/// The points on which maps agree, map after map.
-pub(crate) fn agreed(maps: &[DepthMap<'_>], step: f64) -> Vec<Point> {
+/// Smooths each map over 5×5 pixels of one surface and drops what lies at the near side of an edge: the window of the
+/// sweep makes near surfaces wider than they are.
+pub(crate) fn smooth(maps: &mut [DepthMap<'_>], step: f64) {
+    maps.par_iter_mut().for_each(|map| {
+        let (width, height) = (map.view.width, map.view.height);
+        let old = &map.inverse;
+        let of = |i: usize| {
+            let (x, y, own) = (i % width, i / width, old[i]);
+            if own <= 0.0 {
+                return 0.0;
+            }
+            let slack = tolerance(f64::from(own), step) as f32;
+            let (mut sum, mut count, mut behind) = (0.0f32, 0u32, 0u32);
+            for row in y.saturating_sub(SMOOTHED)..=(y + SMOOTHED).min(height - 1) {
+                for &other in
+                    &old[row * width + x.saturating_sub(SMOOTHED)..=row * width + (x + SMOOTHED).min(width - 1)]
+                {
+                    let same = (other - own).abs() < slack;
+                    sum += if same { other } else { 0.0 };
+                    count += u32::from(same);
+                    behind += u32::from(other > 0.0 && other < 0.9 * own && own - other > 2.0 * slack);
+                }
+            }
+            if behind >= EDGE { 0.0 } else { sum / count as f32 }
+        };
+        map.inverse = (0..width * height).map(of).collect();
+    });
+}
+
+/// The points on which maps agree, map after map; `far` is the depth from which fewer maps have to.
+pub(crate) fn agreed(maps: &[DepthMap<'_>], step: f64, far: f64) -> Vec<Point> {
     let of = |index: usize| {
         let map = &maps[index];
         let center = map.pose.camera_center();
         let mut others: Vec<usize> = (0..maps.len()).filter(|&j| j != index).collect();
-        let far = |j: usize| (maps[j].pose.camera_center() - center).length();
-        others.sort_by(|&a, &b| far(a).total_cmp(&far(b)).then(a.cmp(&b)));
+        let away = |j: usize| (maps[j].pose.camera_center() - center).length();
+        others.sort_by(|&a, &b| away(a).total_cmp(&away(b)).then(a.cmp(&b)));
         others.truncate(COMPARED);
-        points_of(map, &others.iter().map(|&j| &maps[j]).collect::<Vec<_>>(), step)
+        points_of(map, &others.iter().map(|&j| &maps[j]).collect::<Vec<_>>(), step, far)
     };
     (0..maps.len()).into_par_iter().map(of).collect::<Vec<_>>().concat()
 }
 
-fn points_of(map: &DepthMap<'_>, others: &[&DepthMap<'_>], step: f64) -> Vec<Point> {
+fn points_of(map: &DepthMap<'_>, others: &[&DepthMap<'_>], step: f64, far: f64) -> Vec<Point> {
     let (width, height) = (map.view.width, map.view.height);
     let from_camera = map.pose.inverse();
-    let needed = AGREEING.min(others.len().max(1));
-    let mut points: Vec<Option<(DVec3, f64)>> = vec![None; width * height];
-    for y in 0..height {
-        for x in 0..width {
-            points[y * width + x] = map.point(x, y, &from_camera).filter(|&(at, inverse)| {
-                let agrees = |other: &&&DepthMap<'_>| {
-                    other.compare(at).is_some_and(|(found, own)| (found - own).abs() < tolerance(inverse, step))
-                };
-                others.iter().filter(agrees).count() >= needed
-            });
+    // Place and inverse depth, the mean of those that agree.
+    let point = |i: usize| {
+        let ray = map.view.ray(i % width, i / width);
+        let inverse = f64::from(map.inverse[i]);
+        if inverse <= 0.0 {
+            return None;
         }
-    }
+        let at = from_camera.transform_point(ray / inverse);
+        let (mut agreeing, mut sum) = (0, 0.0);
+        for (found, own) in others.iter().filter_map(|o| o.compare(at)) {
+            if (found - own).abs() < tolerance(inverse, step) {
+                agreeing += 1;
+                sum += found - own;
+            }
+        }
+        let needed = AGREEING[usize::from(inverse * far < 1.0)].min(others.len().max(1));
+        let inverse = inverse + sum / f64::from(agreeing + 1);
+        (agreeing as usize >= needed && inverse > 0.0).then(|| (from_camera.transform_point(ray / inverse), inverse))
+    };
+    let points: Vec<Option<(DVec3, f64)>> = (0..width * height).map(point).collect();
     let center = map.pose.camera_center();
     let mut list = Vec::new();
     for y in 0..height {

@@ -1,12 +1,19 @@
 //! Where Gaussians begin: depth maps by plane sweep, AU motion from landmarks, or the face's shape alone.
 
 mod choose;
+mod coverage;
 mod face;
 mod fuse;
 mod motion;
+mod mouth;
+mod rigid;
+mod shape;
 mod stereo;
+mod sway;
 mod sweep;
 mod view;
+
+use std::ops::Range;
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -54,11 +61,38 @@ pub struct LandmarkMotion {
     pub error_px: f64,
 }
 
+/// Which seeds are the mouth's inside, as ranges of [`Start::seeds`].
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MouthSeeds {
+    /// Rigid with the head.
+    pub upper_teeth: Range<usize>,
+    /// Follow the jaw: the mean motion of the chin's landmarks 7, 8 and 9.
+    pub lower_teeth: Range<usize>,
+    /// Follows the jaw.
+    pub tongue: Range<usize>,
+    /// Behind everything, rigid with the head.
+    pub darkness: Range<usize>,
+}
+
+impl MouthSeeds {
+    /// Whether the seed of this index follows the jaw.
+    pub fn follows_jaw(&self, seed: usize) -> bool {
+        self.lower_teeth.contains(&seed) || self.tongue.contains(&seed)
+    }
+
+    /// All of them; they lie next to each other.
+    pub fn all(&self) -> Range<usize> {
+        self.upper_teeth.start..self.darkness.end
+    }
+}
+
 /// All that a fit begins with.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Start {
     /// The Gaussians.
     pub seeds: Vec<Seed>,
+    /// The mouth's inside among them, where landmarks tell where it is.
+    pub mouth: Option<MouthSeeds>,
     /// The landmarks' motion, where frames have landmarks and AUs.
     pub motion: Option<LandmarkMotion>,
     /// Head pose per frame (`room_from_head`): the frames' own, or estimated from landmarks where the head sways.
@@ -79,18 +113,25 @@ const OPACITY: f32 = 0.7;
 
 /// What a fit of `scene` begins with; `say` is told what takes long. The result is the same for any number of threads.
 pub fn start(scene: &Scene<'_>, settings: &StartSettings, say: &dyn Fn(&str)) -> Start {
-    let head_poses: Vec<Isometry> = scene.frames.iter().map(|f| f.room_from_head).collect();
     say("motion of the landmarks");
-    let tracks = motion::tracks(scene);
-    let poses: Vec<Isometry> =
-        tracks.iter().map(|t| scene.frames[t.frame].camera.camera_from_world.compose(&head_poses[t.frame])).collect();
     let radius = f64::from(scene.face_radius_m).max(0.01);
-    let motion = motion::solve(&tracks, &poses, radius).map(|s| s.motion);
+    let (motion, head_poses) = sway::solve(scene, &motion::tracks(scene), radius);
     let axes = Axes::new(scene, motion.as_ref().map(|m| &m.rest));
     say("depth of the views");
     let mut seeds = from_stereo(scene, &head_poses, &axes, &settings.stereo);
+    let rest = motion.as_ref().map(|m| &m.rest);
+    let cover = coverage::of(&seeds, &axes, rest);
+    if cover < coverage::ENOUGH {
+        say("the head's shape, because the views show too little of it");
+        let spacing = settings.stereo.head_voxel_m.max(axes.radius / 80.0);
+        let shape = shape::seeds(scene, &head_poses, &axes, rest, spacing);
+        coverage::complete(&mut seeds, shape, &axes, cover);
+    }
     face::label(scene, &head_poses, &axes, &mut seeds);
-    Start { seeds, motion, head_poses }
+    let outside = seeds.len();
+    let mouth = motion.as_ref().and_then(|m| mouth::add(m, &axes, &mut seeds));
+    face::shares(scene, &head_poses, &mut seeds[outside..]);
+    Start { seeds, mouth, motion, head_poses }
 }
 
 /// Seeds of the surfaces that plane sweeps see; none without parallax.

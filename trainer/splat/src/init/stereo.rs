@@ -21,9 +21,9 @@ pub struct StereoSettings {
     pub neighbours: usize,
     /// Depths to try.
     pub planes: usize,
-    /// Side of the voxels of the head.
+    /// Smallest side of the voxels of the head.
     pub head_voxel_m: f64,
-    /// Side of the voxels of the room.
+    /// Smallest side of the voxels of the room.
     pub room_voxel_m: f64,
     /// Seeds at most, about: where there are more, voxels grow.
     pub seeds: usize,
@@ -45,8 +45,8 @@ impl Default for StereoSettings {
 
 /// Share of frames that count as calm.
 const CALM: f64 = 0.2;
-/// Voxels of the room grow with the distance from the face beyond this many times the cameras' distance.
-const NEAR_ROOM: f64 = 5.0;
+/// The smallest side of a voxel, pixels of the reduced pictures.
+const VOXEL_PX: f64 = 1.45;
 
 /// Reference views and the frames that their neighbours come from.
 #[derive(Clone, Debug, Default)]
@@ -140,7 +140,9 @@ impl Rig {
             let inverse = sweep::inverse_depths(Posed { view, pose: &pose }, &near, &self.planes);
             Some(DepthMap { view, pose, inverse })
         };
-        self.choice.views.par_iter().filter_map(map).collect()
+        let mut maps: Vec<DepthMap<'a>> = self.choice.views.par_iter().filter_map(map).collect();
+        fuse::smooth(&mut maps, self.planes.step());
+        maps
     }
 
     /// The cloud of the maps; `head` tells how much a place belongs to the head, 0–1.
@@ -150,16 +152,18 @@ impl Rig {
         head: &(dyn Fn(DVec3) -> f64 + Sync),
         settings: &StereoSettings,
     ) -> Vec<Surfel> {
-        let points = fuse::agreed(maps, self.planes.step());
+        let points = fuse::agreed(maps, self.planes.step(), 2.0 * self.face_distance);
         let centers = maps.iter().map(|m| m.pose.camera_center());
         let toward = centers.sum::<DVec3>() / maps.len().max(1) as f64;
-        let near = NEAR_ROOM * self.face_distance;
+        // Metres per metre of distance: voxels smaller than pixels stay empty.
+        let pixels: Vec<f64> = maps.iter().map(|m| VOXEL_PX / m.view.focal.x.max(1.0)).collect();
+        let pixel = pixels.iter().sum::<f64>() / pixels.len().max(1) as f64;
         let mut factor = 1.0;
         let mut surfels = Vec::new();
         for _ in 0..4 {
             let voxel_at = |at: DVec3| {
-                let room = settings.room_voxel_m * ((at - toward).length() / near).max(1.0);
-                factor * if head(at) > 0.5 { settings.head_voxel_m } else { room }
+                let least = if head(at) > 0.5 { settings.head_voxel_m } else { settings.room_voxel_m };
+                factor * least.max(pixel * (at - toward).length())
             };
             let unit = factor * settings.head_voxel_m;
             surfels = fuse::in_voxels(&points, &voxel_at, unit, 2, toward);

@@ -22,6 +22,17 @@ const TRUNCATED: f32 = 160.0;
 /// Pixels that the inner loop takes at once.
 const WIDE: usize = 16;
 
+/// What makes a float's last place 1, so that adding it rounds to whole numbers: a conversion that saturates would keep
+/// the compiler from using vectors.
+const ROUNDING: f32 = 12_582_912.0;
+
+/// The whole number of `x` + [`ROUNDING`], from 0 to 2²².
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled for the instruction set of its caller")]
+fn whole(rounded: f32) -> i32 {
+    (rounded.to_bits() & 0x003f_ffff) as i32
+}
+
 /// Depths to try, as inverse depths in 1/m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Planes {
@@ -143,10 +154,10 @@ impl<'a> Warp<'a> {
                 let out = (x < 0.0) | (y < 0.0) | (x > right) | (y > below) | (depth <= 0.0);
                 inside[i] = if out { 0.0 } else { 1.0 };
                 let (x, y) = (x.max(0.0).min(last_x), y.max(0.0).min(last_y));
-                let (left, top) = (x as i32, y as i32);
-                fx[i] = x - left as f32;
-                fy[i] = y - top as f32;
-                index[i] = top.wrapping_mul(width).wrapping_add(left);
+                let (left, top) = (x - 0.5 + ROUNDING, y - 0.5 + ROUNDING);
+                fx[i] = x - (left - ROUNDING);
+                fy[i] = y - (top - ROUNDING);
+                index[i] = whole(top).wrapping_mul(width).wrapping_add(whole(left));
             }
             let mut words = [0u32; WIDE];
             for i in 0..WIDE {
@@ -162,7 +173,7 @@ impl<'a> Warp<'a> {
                 let cost = if known { difference.min(TRUNCATED) } else { TRUNCATED };
                 // A pixel that the reference does not know costs nothing at any depth.
                 let cost = if grey[i] > 0.0 { cost } else { 0.0 };
-                costs[i] = (cost + 0.5) as i32 as u16;
+                costs[i] = whole(cost + ROUNDING) as u16;
             }
         }
     }

@@ -11,10 +11,10 @@ mod extras;
 mod train;
 
 pub(crate) use extras::{EXTRAS, Extra, ExtraRow, WeightRow, column};
-pub(crate) use train::{BACKDROP, CHARBONNIER, RowNumbers, Target, TrainRow};
+pub(crate) use train::{BACKDROP, CHARBONNIER, RowNumbers, Target, TrainRow, train_block};
 
 use crate::TILE;
-use crate::bin::{Bins, Line};
+use crate::bin::{Bins, Line, depth_key};
 use crate::project::record;
 use crate::simd::{F, M, Row, Simd, exp2_fast, test32};
 
@@ -86,6 +86,29 @@ impl Default for Tile {
 }
 
 impl Tile {
+    /// Copies the entries of tile `index` of two sets of Gaussians, in the order that they would have together.
+    pub(crate) fn load_both(&mut self, still: &Bins, moving: &Bins, index: usize, columns: usize) {
+        (self.left, self.top) = (index % columns * TILE, index / columns * TILE);
+        self.lines.clear();
+        self.masks.clear();
+        let (mut a, mut b) = (still.entries(index), moving.entries(index));
+        let key = |bins: &Bins, at: usize| {
+            let slot = bins.slots[at];
+            (depth_key(bins.records[slot as usize].0[record::DEPTH]), slot)
+        };
+        while !(a.is_empty() && b.is_empty()) {
+            let still_first = b.is_empty() || (!a.is_empty() && key(still, a.start) < key(moving, b.start));
+            let (bins, next) = if still_first { (still, a.next()) } else { (moving, b.next()) };
+            let Some(at) = next else { break };
+            let mut line = bins.records[bins.slots[at] as usize];
+            line.0[record::U] -= self.left as f32;
+            line.0[record::V] -= self.top as f32;
+            self.lines.push(line);
+            self.masks.push(bins.masks[at]);
+        }
+        self.masks.resize(self.masks.len().next_multiple_of(32), 0);
+    }
+
     /// Copies the entries of tile `index`.
     pub(crate) fn load(&mut self, bins: &Bins, index: usize, columns: usize) {
         (self.left, self.top) = (index % columns * TILE, index / columns * TILE);

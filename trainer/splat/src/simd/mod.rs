@@ -15,7 +15,7 @@ mod x86;
 use std::sync::OnceLock;
 
 pub use self::scalar::Scalar;
-pub use self::vector::{F, M, Row, exp2, exp2_fast, greater, log2, rows, rows_mut, sums8, test32, transpose};
+pub use self::vector::{F, M, Row, exp2, exp2_fast, greater, log2, prefetch, rows, rows_mut, sums8, test32, transpose};
 
 /// The operations that the kernels are made of.
 ///
@@ -78,6 +78,8 @@ pub trait Simd: Copy + Send + Sync + 'static {
     unsafe fn sums8(v: &[Self::V; 8]) -> [f32; 8];
     /// Rows become columns.
     unsafe fn transpose(v: &mut [Self::V; 16]);
+    /// Fetches the cache line that `p` points to; any pointer will do.
+    unsafe fn prefetch(p: *const f32);
     /// A bit for each of the 32 numbers at `p` that shares a bit with `bit`.
     unsafe fn test32(p: *const u16, bit: u16) -> u32;
     /// A bit for each of 16 whole numbers at `p` that is greater than `x` (both below 2³¹).

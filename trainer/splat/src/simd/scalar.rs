@@ -162,6 +162,8 @@ impl Simd for Scalar {
         }
     }
     #[inline(always)]
+    unsafe fn prefetch(_: *const f32) {}
+    #[inline(always)]
     unsafe fn test32(p: *const u16, bit: u16) -> u32 {
         let masks = unsafe { p.cast::<[u16; 32]>().read_unaligned() };
         let mut bits = 0;

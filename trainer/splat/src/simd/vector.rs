@@ -107,6 +107,14 @@ impl<S: Simd> F<S> {
     }
 }
 
+/// Fetches a row into the cache, if there is one at `index`.
+#[inline(always)]
+pub fn prefetch<S: Simd, T>(list: &[T], index: usize) {
+    if let Some(item) = list.get(index) {
+        unsafe { S::prefetch(std::ptr::from_ref(item).cast()) };
+    }
+}
+
 /// Rows become columns.
 #[inline(always)]
 pub fn transpose<S: Simd>(v: &mut [F<S>; 16]) {

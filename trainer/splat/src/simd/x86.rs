@@ -199,6 +199,10 @@ impl Simd for Avx512 {
         }
     }
     #[inline(always)]
+    unsafe fn prefetch(p: *const f32) {
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+    }
+    #[inline(always)]
     unsafe fn test32(p: *const u16, bit: u16) -> u32 {
         unsafe { _mm512_test_epi16_mask(_mm512_loadu_si512(p.cast()), _mm512_set1_epi16(bit as i16)) }
     }
@@ -396,6 +400,10 @@ impl Simd for Avx2 {
                 v[8 + i] = [b[i], d[i]];
             }
         }
+    }
+    #[inline(always)]
+    unsafe fn prefetch(p: *const f32) {
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
     }
     #[inline(always)]
     unsafe fn test32(p: *const u16, bit: u16) -> u32 {
