@@ -256,8 +256,8 @@ fn scores_and_paths_are_numbers_or_none() {
 /// A picture of the block with all that a picture can hold.
 fn drawn(model: &Gaussians, camera: &Camera, activations: &[f32]) -> Verdict {
     let outputs = Outputs { depth: true, masks: true, head: true };
-    let mut renderer = Renderer::new(Skips::default());
-    let picture = renderer.draw(model, camera, &Isometry::IDENTITY, activations, None, outputs);
+    let mut renderer = Renderer::new(model, Skips::default());
+    let picture = renderer.draw(camera, &Isometry::IDENTITY, activations, None, outputs);
     let planes = picture.masks.iter().flatten().chain(&picture.depth).chain(&picture.transmittance);
     finite_32(planes.chain(picture.head.as_flattened()).copied())?;
     check(picture.transmittance.iter().all(|t| (-1e-5..=1.0001).contains(t)), || "light from nowhere".into())?;

@@ -49,7 +49,8 @@ impl SplatField {
 
 impl Field for SplatField {
     fn renderer(&self, skips: Skips) -> Box<dyn FieldRenderer + '_> {
-        Box::new(SplatRenderer { field: self, renderer: Renderer::new(skips), backdrop: None, lengths: None })
+        let renderer = Renderer::new(&self.model, skips);
+        Box::new(SplatRenderer { field: self, renderer, backdrop: None, lengths: None })
     }
 
     fn is_dear(&self) -> bool {
@@ -59,7 +60,7 @@ impl Field for SplatField {
 
 struct SplatRenderer<'a> {
     field: &'a SplatField,
-    renderer: Renderer,
+    renderer: Renderer<'a>,
     /// The plate at the size of the last picture.
     backdrop: Option<((u32, u32), Vec<u8>)>,
     /// For the last lens, how much longer each pixel's ray is than its depth along the axis.
@@ -89,7 +90,6 @@ impl FieldRenderer for SplatRenderer<'_> {
             head: outputs.head || outputs.depth,
         };
         let picture = self.renderer.draw(
-            &field.model,
             &field.saved.space.camera(camera),
             &Isometry::IDENTITY,
             &field.activations(expression),

@@ -1,6 +1,7 @@
-//! The space of the Gaussians: metres, with the head's middle as origin, not turned against the dataset's world.
+//! The space of the Gaussians: metres, with the head's middle as origin and the axes of the mean camera (x right, y down,
+//! z forward), so that depth, which parallax tells least about, is an axis of its own.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use risorius_formats::{Camera, Similarity};
 use serde::{Deserialize, Serialize};
 
@@ -11,13 +12,15 @@ const FACE_RADIUS_M: f64 = 0.09;
 /// How far a camera is taken to stand from a head where nothing tells sizes, metres.
 const CAMERA_DISTANCE_M: f64 = 0.6;
 
-/// `metric = (world − origin) · metres_per_unit`.
+/// `metric = metric_from_world · (world − origin) · metres_per_unit`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MetricSpace {
     /// Metres per world unit.
     pub metres_per_unit: f64,
     /// The head's middle, world units.
     pub origin_in_world: DVec3,
+    /// The rotation from the world's axes to those of the mean camera.
+    pub metric_from_world: DMat3,
 }
 
 impl MetricSpace {
@@ -33,13 +36,14 @@ impl MetricSpace {
             if mean.is_normal() { CAMERA_DISTANCE_M / mean } else { 1.0 }
         };
         let metres_per_unit = known.map(f64::recip).or_else(by_head).unwrap_or_else(by_cameras);
-        Self { metres_per_unit, origin_in_world }
+        Self { metres_per_unit, origin_in_world, metric_from_world: mean_axes(data) }
     }
 
     /// The similarity from the world.
     pub fn from_world(&self) -> Similarity {
         let scale = self.metres_per_unit;
-        Similarity { scale, rotation: glam::DMat3::IDENTITY, translation: -self.origin_in_world * scale }
+        let rotation = self.metric_from_world;
+        Similarity { scale, rotation, translation: -(rotation * self.origin_in_world) * scale }
     }
 
     /// A camera of the world in this space.
@@ -60,16 +64,28 @@ impl MetricSpace {
     }
 }
 
+/// The axes of the mean camera, as rows.
+fn mean_axes(data: &TrainData) -> DMat3 {
+    let row = |r: usize| data.frames.iter().map(|f| f.camera.camera_from_world.rotation.row(r)).sum::<DVec3>();
+    let forward = row(2).normalize_or(DVec3::Z);
+    let down = row(1);
+    let Some(down) = (down - forward * down.dot(forward)).try_normalize() else { return DMat3::IDENTITY };
+    DMat3::from_cols(down.cross(forward), down, forward).transpose()
+}
+
 #[cfg(test)]
 mod tests {
-    use glam::DMat3;
     use risorius_formats::{Intrinsics, Isometry};
 
     use super::*;
 
     #[test]
     fn a_camera_sees_the_same_in_metres() {
-        let space = MetricSpace { metres_per_unit: 0.09 / 2.5, origin_in_world: DVec3::new(1.0, -2.0, 3.0) };
+        let space = MetricSpace {
+            metres_per_unit: 0.09 / 2.5,
+            origin_in_world: DVec3::new(1.0, -2.0, 3.0),
+            metric_from_world: DMat3::from_rotation_x(0.7),
+        };
         let camera = Camera {
             intrinsics: Intrinsics::pinhole(270, 480, 576.0),
             camera_from_world: Isometry::new(DMat3::from_rotation_y(0.4), DVec3::new(0.5, 0.2, 20.0)),
