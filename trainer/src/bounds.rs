@@ -1,7 +1,8 @@
 //! What the description of a stored model may ask for. It comes from a file that somebody else may have written, and is
 //! checked before anything is allocated or drawn by it.
 
-use risorius_formats::Camera;
+use glam::DVec3;
+use risorius_formats::{Camera, Isometry};
 use risorius_splat::Layout;
 use risorius_splat::fit::Progress;
 use risorius_splat::model::{LANES, LATENT, REGIONS};
@@ -125,6 +126,11 @@ pub(crate) fn of_splat(saved: &SavedSplat, file_bytes: usize) -> Checked {
         within("plate", *side as usize, 1..=4 * MOST_ALONG)?;
     }
     positive("space.metres_per_unit", saved.space.metres_per_unit as f32)?;
+    let turned = Isometry::new(saved.space.metric_from_world, DVec3::ZERO).orthonormality_error();
+    // Written so that a NaN is refused.
+    if !(0.0..1e-3).contains(&turned) {
+        return Err(format!("`space.metric_from_world` is no rotation: it deviates by {turned}"));
+    }
     bounded("space.origin_in_world", &saved.space.origin_in_world.as_vec3().to_array())
 }
 

@@ -10,7 +10,7 @@ use risorius_formats::intensities::Intensities;
 use risorius_formats::landmark_table::LandmarkTable;
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{self, Dataset, Extras};
-use risorius_formats::{Attribute, AttributeTable, AuScale, Camera, Intensity, Reporter, hash, package};
+use risorius_formats::{Attribute, AttributeSpec, AttributeTable, AuScale, Camera, Intensity, Reporter, hash, package};
 
 use crate::error::{Result, TrainerError};
 
@@ -169,7 +169,7 @@ impl TrainData {
         if let Some(index) = named.and_then(|id| self.frames.iter().position(|f| f.id == *id)) {
             return index;
         }
-        let neutral: Vec<Attribute> = self.table.attributes.iter().map(|a| a.neutral_attribute()).collect();
+        let neutral: Vec<Attribute> = self.table.attributes.iter().map(AttributeSpec::neutral_attribute).collect();
         let distance = |f: &TrainFrame| match &f.attributes {
             Some(a) => a.iter().zip(&neutral).map(|(a, n)| (a.0 - n.0).powi(2)).sum(),
             None => f32::INFINITY,

@@ -215,9 +215,7 @@ pub(crate) fn of_avatars() -> Vec<Victim> {
     let fit = |line: &str| Victim::new(Made::Run, &["dataset"], line).going_on("new/settings.toml", "--resume", FIT);
     let made_of_it = |line: &str| Victim::new(Made::Run, &["run", "dataset", "driver"], line);
     vec![
-        fit(
-            "trainer -q fit dataset --out new --steps 60 --checkpoint-every 30 --set splat.gaussians=2000",
-        ),
+        fit("trainer -q fit dataset --out new --steps 60 --checkpoint-every 30 --set splat.gaussians=2000"),
         fit("trainer -q fit dataset --out new --field confies --preset tiny --steps 60 --checkpoint-every 30"),
         made_of_it("trainer -q render run --orbit 12 --out pictures").going_on(
             "pictures/render.json",

@@ -121,6 +121,7 @@ fn hostile_descriptions(field: &str) -> Vec<(&'static str, Value)> {
         ("/space/metres_per_unit", json!(-1)),
         ("/space/metres_per_unit", json!(1e300)),
         ("/space/origin_in_world/1", json!(1e300)),
+        ("/space/metric_from_world/0", json!(100)),
         ("/plate", json!([65535, 65535])),
         ("/plate", json!([0, 0])),
     ];

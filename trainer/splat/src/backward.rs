@@ -28,12 +28,7 @@ pub(crate) struct Gradients<S: Simd> {
 
 /// Adds up the lines of each lane's pairs.
 #[inline(always)]
-pub(crate) fn gather<S: Simd>(
-    first: &[u32],
-    count: &[u32],
-    position: &[u32],
-    sums: &[Line],
-) -> [F<S>; 16] {
+pub(crate) fn gather<S: Simd>(first: &[u32], count: &[u32], position: &[u32], sums: &[Line]) -> [F<S>; 16] {
     let mut lanes = [F::<S>::splat(0.0); 16];
     for (lane, out) in lanes.iter_mut().enumerate() {
         let from = first[lane] as usize;
@@ -117,7 +112,8 @@ pub(crate) fn backward<S: Simd>(
     let w2 = [geo.w[6], geo.w[7], geo.w[8]];
     let zi = geo.z_inverse;
     let (x, y) = (geo.t[0] * zi, geo.t[1] * zi);
-    let through = [geo.free[0].select(-dot(&g_n[0], &w2) * zi, zero), geo.free[1].select(-dot(&g_n[1], &w2) * zi, zero)];
+    let through =
+        [geo.free[0].select(-dot(&g_n[0], &w2) * zi, zero), geo.free[1].select(-dot(&g_n[1], &w2) * zi, zero)];
     let d_x = j[0].fma(d_u, j[2].fma(d_v, through[0]));
     let d_y = j[1].fma(d_u, j[3].fma(d_v, through[1]));
     let along = dot(&g_n[0], &geo.n[0]) + dot(&g_n[1], &geo.n[1]);
@@ -152,8 +148,7 @@ pub(crate) fn backward<S: Simd>(
 fn scale_and_rotation<S: Simd>(geo: &Geometry<S>, g_m: &[F<S>; 9], base: &mut [F<S>; channel::COUNT]) {
     let mut g = [g_m[0]; 9];
     for k in 0..3 {
-        base[channel::LOG_SCALE + k] =
-            g_m[k].fma(geo.m[k], g_m[3 + k].fma(geo.m[3 + k], g_m[6 + k] * geo.m[6 + k]));
+        base[channel::LOG_SCALE + k] = g_m[k].fma(geo.m[k], g_m[3 + k].fma(geo.m[3 + k], g_m[6 + k] * geo.m[6 + k]));
         for r in 0..3 {
             g[3 * r + k] = g_m[3 * r + k] * geo.scale[k];
         }

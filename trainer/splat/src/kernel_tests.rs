@@ -165,8 +165,8 @@ fn kernel_gradients(model: &Gaussians, camera: &Camera, wanted: &[u8]) -> Backwa
     let mut model = model.clone();
     let (mut base, mut deltas) = (Moments::zero(model.base.len()), Moments::zero(model.deltas.len()));
     let mut movement = vec![0.0; model.groups() * LANES];
-    let whole = Update { model: &mut model, base: &mut base, deltas: &mut deltas, movement: &mut movement }.apply(
-        &Evidence {
+    let whole =
+        Update { model: &mut model, base: &mut base, deltas: &mut deltas, movement: &mut movement }.apply(&Evidence {
             view: &view,
             active: &active,
             bins: &bins,
@@ -175,8 +175,7 @@ fn kernel_gradients(model: &Gaussians, camera: &Camera, wanted: &[u8]) -> Backwa
             base_correction: 1.0,
             correction: &vec![1.0; active.len()],
             poses: true,
-        },
-    );
+        });
     // A first moment that began at zero is a tenth of the gradient.
     let ten = |m: Vec<f32>| m.into_iter().map(|v| v * 10.0).collect();
     Backward { base: ten(base.first), deltas: ten(deltas.first), whole }
@@ -311,10 +310,7 @@ fn gradients_of_activations_and_poses_are_the_twins() {
         let axes = camera.camera_from_world.rotation;
         let of = |slot: usize, side: f64| {
             let m = motion(side);
-            let turned = Isometry::new(
-                axes.transpose() * m.rotation * axes,
-                axes.transpose() * m.translation,
-            );
+            let turned = Isometry::new(axes.transpose() * m.rotation * axes, axes.transpose() * m.translation);
             reference::project(&model, slot, &camera, &turned.compose(&head()), &activations())
         };
         close(kernel.whole.head[i], along(&twin, of, |_| 2.0 * h), &format!("head {i}"));

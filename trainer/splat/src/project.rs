@@ -178,12 +178,7 @@ pub(crate) fn geometry<S: Simd>(view: &View, b: &Blended<S>) -> Geometry<S> {
     if let Some(coefficients) = &lens.distortion {
         let (d, at) = distort::<S>(coefficients, x, y);
         distorted = at;
-        jacobian = [
-            fx.fma(d[0], skew * d[2]),
-            fx.fma(d[1], skew * d[3]),
-            fy * d[2],
-            fy * d[3],
-        ];
+        jacobian = [fx.fma(d[0], skew * d[2]), fx.fma(d[1], skew * d[3]), fy * d[2], fy * d[3]];
         inside = inside.and(x.fma(x, y * y).lt(F::splat(lens.largest_r2)));
     }
     let pixel = [

@@ -100,8 +100,7 @@ pub fn project(
     if q.length_squared() <= 1e-8 {
         return None;
     }
-    let m = DMat3::from_quat(q.normalize())
-        * DMat3::from_diagonal(DVec3::new(v(3).exp(), v(4).exp(), v(5).exp()));
+    let m = DMat3::from_quat(q.normalize()) * DMat3::from_diagonal(DVec3::new(v(3).exp(), v(4).exp(), v(5).exp()));
     let p = rows.map(|r| m.transpose() * r);
     let (a0, b0, c0) = (p[0].dot(p[0]), p[0].dot(p[1]), p[1].dot(p[1]));
     let det0 = (a0 * c0 - b0 * b0).max(0.0);

@@ -219,9 +219,8 @@ impl<'a> Renderer<'a> {
     /// Draws what an edit of the `now` regions' AUs changes; groups that move with them are kept apart from then on.
     fn edit(&mut self, view: &View, active: &[Active], backdrop: Option<&[u8]>, before: u8, now: u8) -> u8 {
         let regions = if now & !before == 0 { before } else { now };
-        let apart: Vec<bool> = (0..self.model.groups())
-            .map(|g| self.moved_by.get(g).is_some_and(|bits| bits & regions != 0))
-            .collect();
+        let apart: Vec<bool> =
+            (0..self.model.groups()).map(|g| self.moved_by.get(g).is_some_and(|bits| bits & regions != 0)).collect();
         if regions != before {
             let rest: Vec<bool> = apart.iter().map(|a| !a).collect();
             self.bins.fill(self.model, view, active, Some(&rest));
@@ -256,7 +255,19 @@ impl<'a> Renderer<'a> {
             .zip(&mut self.tiles)
             .enumerate()
             .for_each(|(row, ((rgb, transmittance), tile))| {
-                simd::run(DrawRow { bins, moving, which, row, columns, width, height, backdrop, rgb, transmittance, tile });
+                simd::run(DrawRow {
+                    bins,
+                    moving,
+                    which,
+                    row,
+                    columns,
+                    width,
+                    height,
+                    backdrop,
+                    rgb,
+                    transmittance,
+                    tile,
+                });
             });
     }
 
@@ -272,8 +283,7 @@ impl<'a> Renderer<'a> {
             let r = &bins.records[slot].0;
             let mut out = [0.0; EXTRAS];
             for n in 0..model.layout.regions.min(REGIONS) {
-                out[column::MASKS + n] =
-                    crate::fit::logistic(model.membership[(g * REGIONS + n) * LANES + lane]);
+                out[column::MASKS + n] = crate::fit::logistic(model.membership[(g * REGIONS + n) * LANES + lane]);
             }
             out[column::DEPTH] = r[record::DEPTH];
             let head = model.head_weight[slot];

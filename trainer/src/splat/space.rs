@@ -81,7 +81,11 @@ mod tests {
 
     #[test]
     fn a_camera_sees_the_same_in_metres() {
-        let space = MetricSpace { metres_per_unit: 0.09 / 2.5, origin_in_world: DVec3::new(1.0, -2.0, 3.0), metric_from_world: DMat3::from_rotation_x(0.7) };
+        let space = MetricSpace {
+            metres_per_unit: 0.09 / 2.5,
+            origin_in_world: DVec3::new(1.0, -2.0, 3.0),
+            metric_from_world: DMat3::from_rotation_x(0.7),
+        };
         let camera = Camera {
             intrinsics: Intrinsics::pinhole(270, 480, 576.0),
             camera_from_world: Isometry::new(DMat3::from_rotation_y(0.4), DVec3::new(0.5, 0.2, 20.0)),

@@ -231,15 +231,9 @@ fn decoded(tensors: &SafeTensors<'_>, saved: &SavedSplat) -> Problem<(Gaussians,
         }
         None => None,
     };
-    let model = Gaussians {
-        layout: saved.layout.clone(),
-        deformable: g,
-        base,
-        deltas,
-        gates: half("gates", &[g, REGIONS, LANES])?,
-        membership,
-        head_weight: half("head_weight", &[n])?,
-    };
+    let gates = half("gates", &[g, REGIONS, LANES])?;
+    let head_weight = half("head_weight", &[n])?;
+    let model = Gaussians::from_arrays(saved.layout.clone(), base, deltas, gates, membership, head_weight)?;
     Ok((model, plate))
 }
 

@@ -23,7 +23,11 @@ fn described(model: &Gaussians, plate: Option<&Plate>) -> SavedSplat {
         layout: model.layout.clone(),
         groups: model.groups(),
         deformable: model.deformable,
-        space: MetricSpace { metres_per_unit: 1.0, origin_in_world: glam::DVec3::ZERO },
+        space: MetricSpace {
+            metres_per_unit: 1.0,
+            origin_in_world: glam::DVec3::ZERO,
+            metric_from_world: glam::DMat3::IDENTITY,
+        },
         intensities: true,
         plate: plate.map(|p| [p.width, p.height]),
     }

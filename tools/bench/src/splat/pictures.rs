@@ -25,9 +25,9 @@ pub(super) struct Pictures {
     width: u32,
     height: u32,
     /// A whole picture with another view and another AU than the one before: median.
-    picture_ms: f64,
+    whole_ms: f64,
     /// The same, as a rate over all of them.
-    pictures_per_sec: f64,
+    whole_per_sec: f64,
     /// One AU changed, the camera still: median per region.
     edit_ms: Vec<(String, f64)>,
     /// The same over all AUs, as a rate.
@@ -96,8 +96,8 @@ fn of_size(avatar: &Avatar, views: &ViewList, every: usize, width: u32) -> Resul
     Ok(Pictures {
         width,
         height,
-        pictures_per_sec: rate(&whole.pictures),
-        picture_ms: median(whole.pictures),
+        whole_per_sec: rate(&whole.pictures),
+        whole_ms: median(whole.pictures),
         edits_per_sec: rate(&whole.edits.concat()),
         edit_ms: regions.iter().cloned().zip(whole.edits.into_iter().map(median)).collect(),
         without,
@@ -171,7 +171,7 @@ impl Pictures {
         let mut row = |name: &str, ms: f64, per_sec: f64, apart: &str| {
             lines.push(format!("| {name} | {ms:.2} | {per_sec:.0} | {apart} |"));
         };
-        row("another view and another AU", self.picture_ms, self.pictures_per_sec, "–");
+        row("another view and another AU", self.whole_ms, self.whole_per_sec, "–");
         row("one AU edited, camera still", 1e3 / self.edits_per_sec, self.edits_per_sec, "–");
         for (region, ms) in &self.edit_ms {
             row(&format!("… of `{region}`"), *ms, 1e3 / ms, "–");

@@ -27,12 +27,8 @@ pub(super) fn logit(p: f32) -> f32 {
 
 /// The order of seeds: deformable ones first, each part along a Morton curve, so that groups are compact.
 pub(super) fn order(means: &[[f32; 3]], deformable: &[bool]) -> Vec<u32> {
-    let mut keys: Vec<(bool, u64, u32)> = means
-        .iter()
-        .zip(deformable)
-        .enumerate()
-        .map(|(i, (m, &d))| (!d, morton(*m), i as u32))
-        .collect();
+    let mut keys: Vec<(bool, u64, u32)> =
+        means.iter().zip(deformable).enumerate().map(|(i, (m, &d))| (!d, morton(*m), i as u32)).collect();
     keys.sort_unstable();
     keys.into_iter().map(|k| k.2).collect()
 }

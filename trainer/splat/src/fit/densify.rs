@@ -112,7 +112,8 @@ impl Fitter {
 /// Copies rows of `width` channels to their new slots, of old slots below `edge` only.
 fn copy(places: &[(usize, Child)], width: usize, from: &[f32], to: &mut [f32], edge: usize) {
     for (new, child) in places.iter().filter(|(_, c)| c.slot < edge) {
-        let (a, b) = (child.slot / LANES * width * LANES + child.slot % LANES, new / LANES * width * LANES + new % LANES);
+        let (a, b) =
+            (child.slot / LANES * width * LANES + child.slot % LANES, new / LANES * width * LANES + new % LANES);
         for c in 0..width {
             to[b + c * LANES] = from[a + c * LANES];
         }

@@ -19,13 +19,13 @@ use risorius_formats::{Camera, Isometry};
 use serde::{Deserialize, Serialize};
 
 pub use self::begin::gate;
-pub(crate) use self::memberships::logistic;
-pub use self::images::PerImage;
 use self::images::ImageRates;
+pub use self::images::PerImage;
+pub(crate) use self::memberships::logistic;
 pub use self::settings::Settings;
 use crate::bin::{Bins, Line};
 use crate::init::{self, Start};
-use crate::model::{Gaussians, LATENT, LANES, Layout};
+use crate::model::{Gaussians, LANES, LATENT, Layout};
 use crate::project::active_bases;
 use crate::raster::{RowNumbers, Target, Tile, TrainRow};
 use crate::scene::{Frame, Scene};
@@ -349,14 +349,8 @@ impl Fitter {
         };
         let base = take("base")?;
         let deltas = take("deltas")?;
-        let model = Gaussians::from_arrays(
-            layout,
-            base,
-            deltas,
-            take("gates")?,
-            take("membership")?,
-            take("head_weight")?,
-        )?;
+        let model =
+            Gaussians::from_arrays(layout, base, deltas, take("gates")?, take("membership")?, take("head_weight")?)?;
         let expected = PerImage::new(model.layout.images, model.layout.region_of.len());
         let images = PerImage {
             alphas: take("alphas")?,

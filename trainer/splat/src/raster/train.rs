@@ -4,7 +4,7 @@
 //! A = g · (C_final − C so far): `w = Tα; A −= w (g·c); ∂α = T (g·c) − A/(1 − α); q = α ∂α`. The sums of an entry are
 //! Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy², Σw g: all 2D gradients follow from them (see [`crate::update`]).
 
-use super::{LOG2_LEAST, LOG2_MOST, CENTERS, TILE_BLOCKS, Tile, exponent};
+use super::{CENTERS, LOG2_LEAST, LOG2_MOST, TILE_BLOCKS, Tile, exponent};
 use crate::TILE;
 use crate::bin::{Bins, Line};
 use crate::project::record;
@@ -110,7 +110,13 @@ struct Gradients {
 }
 
 #[inline(always)]
-fn loss<S: Simd>(tile: &mut Tile, target: &Target<'_>, width: usize, height: usize, numbers: &mut RowNumbers) -> Gradients {
+fn loss<S: Simd>(
+    tile: &mut Tile,
+    target: &Target<'_>,
+    width: usize,
+    height: usize,
+    numbers: &mut RowNumbers,
+) -> Gradients {
     let mut out = Gradients { g: [[Line::ZERO; 3]; TILE_BLOCKS], a: [Line::ZERO; TILE_BLOCKS] };
     for block in 0..TILE_BLOCKS {
         let (mut wanted, mut behind, mut counts) = ([[0.0f32; 16]; 3], [[0.0f32; 16]; 3], [0.0f32; 16]);
@@ -170,8 +176,7 @@ fn backward<S: Simd>(tile: &mut Tile, gradients: &Gradients, sums: &mut [Line]) 
         }
         let r = &line.0;
         let (u, v) = (F::<S>::splat(r[record::U]), F::<S>::splat(r[record::V]));
-        let (red, green, blue) =
-            (F::splat(r[record::RGB]), F::splat(r[record::RGB + 1]), F::splat(r[record::RGB + 2]));
+        let (red, green, blue) = (F::splat(r[record::RGB]), F::splat(r[record::RGB + 1]), F::splat(r[record::RGB + 2]));
         let mut s = [zero; 8];
         let mut last = zero;
         while bits != 0 {
