@@ -161,7 +161,8 @@ fn from_stereo(scene: &Scene<'_>, head_poses: &[Isometry], axes: &Axes, settings
         let maps = rig.depth_maps(&views);
         let surfels = rig.surfels(&maps, &head, axes.radius, settings);
         seeds.extend(surfels.iter().map(|s| seed_of(s, axes)).filter(|s| match part {
-            Part::Head => s.head_weight > 0.5,
+            // The neck follows both: what one of them misses, the other shows.
+            Part::Head => s.head_weight > 0.2,
             Part::Room => s.head_weight <= 0.5,
             Part::Both => true,
         }));
@@ -183,3 +184,6 @@ fn seed_of(surfel: &Surfel, axes: &Axes) -> Seed {
         deformable: false,
     }
 }
+
+#[cfg(test)]
+mod tests;

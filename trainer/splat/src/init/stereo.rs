@@ -46,6 +46,8 @@ impl Default for StereoSettings {
 
 /// Share of frames that count as calm.
 const CALM: f64 = 0.2;
+/// Share of frames that are calm enough where more of the head's views are needed.
+const CALMER: f64 = 0.5;
 /// The smallest side of a voxel, pixels of the reduced pictures.
 const VOXEL_PX: f64 = 1.45;
 
@@ -120,8 +122,15 @@ impl Rig {
         if part != Part::Room {
             choice.views.extend(Choice::new(&calm, &poses, settings.head_views, n, face_distance).views);
         }
-        if part != Part::Head && !only_head {
+        if part == Part::Both && !only_head || part == Part::Room {
             choice.views.extend(Choice::new(&usable, &poses, settings.room_views, n, face_distance).views);
+        } else {
+            // Where no view of the room shows the head too, more of the head's are needed.
+            let calmer: Vec<usize> =
+                choose::smallest(&sums, CALMER, 4 * settings.head_views).into_iter().map(|k| usable[k]).collect();
+            let more = Choice::new(&calmer, &poses, settings.room_views * 2 / 3, n, face_distance).views;
+            let known: Vec<usize> = choice.views.iter().map(|v| v.0).collect();
+            choice.views.extend(more.into_iter().filter(|v| !known.contains(&v.0)));
         }
         Some(Self { poses, choice, face_distance, planes })
     }
