@@ -14,6 +14,7 @@ use serde::Serialize;
 
 use crate::measure::{Pictures, measure_all};
 use crate::media::{self, Media};
+use crate::negotiate::number;
 use crate::timing;
 use crate::{CaptureError, Result};
 
@@ -224,8 +225,8 @@ fn tell(options: &RecordOptions, info: &VideoInfo, slow_motion: Option<f64>, rep
     if options.true_fps.is_none() && factor < SURELY_SLOWED {
         let text = format!(
             "{name}: {rates}; a camera that halved its rate in dim light writes the same: if it did, say \
-             `--true-fps {:.4}`",
-            info.fps
+             `--true-fps {}`",
+            number(info.fps)
         );
         reporter.warn(Warning::new("perhaps-slow-motion", text));
     } else {

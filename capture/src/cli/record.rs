@@ -115,7 +115,7 @@ pub(super) fn run(args: &RecordArgs, console: &Console) -> Result<(), Failure> {
             planned.height,
             planned.fps,
             if planned.coding.is_empty() { String::new() } else { format!(", {}", planned.coding) },
-            planned.remarks.iter().map(|r| format!("\n  {r}")).collect::<String>()
+            planned.remarks.iter().fold(String::new(), |text, remark| text + "\n  " + remark)
         );
         console.finish(&planned, &text);
         return Ok(());

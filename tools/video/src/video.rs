@@ -18,6 +18,8 @@ use crate::{TimeSource, Timeline, Truncation, VideoError, pixels, stream};
 
 /// The frame rate when neither the container nor the times tell.
 const UNKNOWN_FPS: f64 = 25.0;
+/// A decoder that fails so often in a row without taking a packet is stuck.
+const PATIENCE: usize = 1000;
 
 pub(crate) struct VideoFile {
     path: PathBuf,
@@ -58,6 +60,12 @@ pub(crate) struct VideoFile {
     ended: bool,
 }
 
+/// Whether a decoder wants a packet before it gives a picture.
+fn is_hungry(error: ffmpeg::Error) -> bool {
+    let ffmpeg::Error::Other { errno } = error else { return false };
+    std::io::Error::from_raw_os_error(errno).kind() == std::io::ErrorKind::WouldBlock
+}
+
 impl std::fmt::Debug for VideoFile {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("VideoFile").field("path", &self.path).field("count", &self.count).finish_non_exhaustive()
@@ -90,8 +98,11 @@ impl VideoFile {
         let timed = stream::has_times(&input);
         let (timeline, capture_fps) = match mp4::read(&mut file, Some(track)) {
             Ok(Container::Indexed(timeline, fps)) => (Some(timeline), fps),
-            _ => (None, input.metadata().get("com.android.capture.fps").and_then(|t| t.parse().ok())),
+            _ => (None, None),
         };
+        // Tools that copy the clip write the number as text.
+        let as_text = || input.metadata().get("com.android.capture.fps").and_then(|t| t.parse().ok());
+        let capture_fps = capture_fps.or_else(as_text).filter(|fps: &f64| (1.0..=10_000.0).contains(fps));
         let rates = match &timeline {
             Some(timeline) => Rates::of(timeline.nanos()),
             None if timed => times::sample(&mut stream::open_input(path)?, choice.index, time_base),
@@ -112,7 +123,7 @@ impl VideoFile {
             fps: UNKNOWN_FPS,
             peak_fps: UNKNOWN_FPS,
             times: TimeSource::Container,
-            capture_fps: capture_fps.filter(|fps: &f64| (1.0..=10_000.0).contains(fps)),
+            capture_fps,
             stated_secs,
             remarks: Vec::new(),
             coding: String::new(),
@@ -277,15 +288,18 @@ impl VideoFile {
 
     /// Decodes the next picture; false at the end.
     fn decode(&mut self) -> bool {
-        loop {
+        let mut failures = 0;
+        while failures < PATIENCE {
             match self.decoder.receive_frame(&mut self.picture) {
                 Ok(()) => return true,
                 Err(ffmpeg::Error::Eof) => return false,
-                // What is damaged gives no picture; the next packets do.
-                Err(_) if self.draining => return false,
-                Err(_) => self.feed(),
+                Err(e) if is_hungry(e) && self.draining => return false,
+                Err(e) if is_hungry(e) => self.feed(),
+                // What is damaged gives no picture; what follows does.
+                Err(_) => failures += 1,
             }
         }
+        false
     }
 
     /// Gives the decoder the next packet, or the word that there is none.
