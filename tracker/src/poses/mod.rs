@@ -193,7 +193,7 @@ fn picture_of(report: &PoseReport, model: &TakeModel, track: &Track, take: &Take
         model.frames.iter().find(|(_, f)| !f.points.is_empty()).or(model.frames.iter().next()).map(|(f, _)| *f)?;
     let mut picture = None;
     // The drawing is an extra: it must not fail the work.
-    let _ = risorius_video::read_frames(take.media_path(), &[shown], |_, image| -> Result<()> {
+    let _ = risorius_video::read_take_frames(take, &[shown], |_, image| -> Result<()> {
         picture = Some(image);
         Ok(())
     });
