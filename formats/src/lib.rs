@@ -24,9 +24,11 @@
 pub mod atomic;
 pub mod attribute;
 pub mod au;
+pub mod au_scale;
 pub mod camera;
 pub mod colmap;
 pub mod curves;
+mod dialect;
 pub mod error;
 pub mod frame;
 pub mod hash;
@@ -53,6 +55,7 @@ pub mod views;
 
 pub use attribute::{AttributeSpec, AttributeTable};
 pub use au::ActionUnit;
+pub use au_scale::AuScale;
 pub use camera::{Camera, Intrinsics, Isometry};
 pub use curves::Curves;
 pub use error::{ErrorKind, FormatError, Hint};
