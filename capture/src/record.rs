@@ -14,8 +14,7 @@ use serde::Serialize;
 
 use crate::measure::{Pictures, measure_all};
 use crate::media::{self, Media};
-use crate::timing;
-use crate::{CaptureError, Result};
+use crate::{CaptureError, Result, numbered, timing};
 
 /// What to make a take from, and how.
 #[derive(Clone, Debug, Default)]
@@ -150,6 +149,10 @@ pub fn record_with(
         reporter.warn(Warning::new("truncated-video", message));
     }
     let Pictures { mut frames, truncation } = pictures;
+    if is_folder {
+        numbered::warn_about_strangers(&options.input, &images, reporter);
+        numbered::spread(&mut frames, &images, info.fps, reporter);
+    }
     if let Some(factor) = slow_motion {
         for frame in &mut frames {
             frame.timestamp_nanos = (frame.timestamp_nanos as f64 / factor).round() as i64;

@@ -4,6 +4,8 @@
 //! spreadsheet that took decimal points for separators of thousands: 1.25 became 125, and what is lost stays lost. That
 //! nothing exceeds 1 may be a calm face, or a table of 0–1: several AUs that come near 1 decide.
 
+use std::str::FromStr;
+
 use crate::au::MAX_INTENSITY;
 use crate::{ErrorKind, FormatError, Result};
 
@@ -47,6 +49,17 @@ impl AuScale {
             Self::Five => 5,
             Self::Hundred => 100,
         }
+    }
+}
+
+impl FromStr for AuScale {
+    type Err = FormatError;
+
+    /// Reads the largest value: `1`, `5` or `100`.
+    fn from_str(text: &str) -> Result<Self> {
+        let known = [Self::One, Self::Five, Self::Hundred];
+        let found = known.into_iter().find(|s| s.largest().to_string() == text.trim());
+        found.ok_or_else(|| FormatError::syntax(format!("`{text}` is no scale of AUs, expected 1, 5 or 100")))
     }
 }
 

@@ -260,7 +260,7 @@ impl Hint for TrackerError {
                 "is it the table of another video? `--first-frame N` says which number the first frame has in it".into()
             }
             Self::NoValidFrame { .. } => "look at the `confidence` column; `--min-confidence` lowers the gate".into(),
-            Self::NoTrack { .. } => "import a table first: `tracker import TAKE --openface FILE.csv`".into(),
+            Self::NoTrack { .. } => "track the video with `tracker run TAKE`, or import a table with `tracker import TAKE --openface FILE.csv`".into(),
             Self::TrackLacks { hint, .. } => (*hint).into(),
             Self::NoModel { .. } => "give the folder with cameras, images and points3D as .txt or .bin".into(),
             Self::NoModelFrame { .. } => {
@@ -279,7 +279,7 @@ impl Hint for TrackerError {
                 }
             }
             Self::ColmapMissing { .. } => {
-                "install it (`apt install colmap`, or `pip install pycolmap` and `--colmap python3`), name it with `--colmap PATH`, or give a finished model with `--colmap-model DIR`"
+                "install it (`apt-get update && apt-get install colmap`), or its Python package (`apt-get install python3-venv`, `python3 -m venv venv`, `venv/bin/pip install pycolmap`, then `--colmap venv/bin/python`), name it with `--colmap PATH`, or give a finished model with `--colmap-model DIR`"
                     .into()
             }
             Self::ColmapFailed { log, .. } => format!("the whole output is in {}", log.display()).into(),

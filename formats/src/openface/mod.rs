@@ -29,8 +29,8 @@ pub enum FaceChoice {
     First,
 }
 
-/// How to read a table.
-#[derive(Clone, Copy, Debug, Default)]
+/// How to read a table. The default is for tables of our own, [`ReadOptions::foreign`] for others.
+#[derive(Clone, Copy, Debug)]
 pub struct ReadOptions {
     /// The number of the take's first frame in the `frame` column; `None` is OpenFace's 1.
     pub first_frame: Option<u32>,
@@ -38,6 +38,19 @@ pub struct ReadOptions {
     pub face: FaceChoice,
     /// The scale of the AU values; `None` lets the values tell.
     pub scale: Option<AuScale>,
+}
+
+impl Default for ReadOptions {
+    fn default() -> Self {
+        Self { first_frame: None, face: FaceChoice::default(), scale: Some(AuScale::Five) }
+    }
+}
+
+impl ReadOptions {
+    /// For a table that anything may have written: its values tell their scale.
+    pub fn foreign() -> Self {
+        Self { scale: None, ..Self::default() }
+    }
 }
 
 /// Parses a table of any OpenFace version: one row per frame, in the order of frames.

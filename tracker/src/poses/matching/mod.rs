@@ -145,10 +145,8 @@ fn best(candidates: Vec<(Rule, BTreeMap<u32, u32>)>, evidence: Option<&Evidence<
     finalists.extend(first);
     finalists.sort_unstable();
     finalists.dedup();
-    let exact: Vec<(usize, f64)> = finalists
-        .into_iter()
-        .filter_map(|i| Some((i, evidence.score(&frames[i], EXACT)?.error_px)))
-        .collect();
+    let exact: Vec<(usize, f64)> =
+        finalists.into_iter().filter_map(|i| Some((i, evidence.score(&frames[i], EXACT)?.error_px))).collect();
     // A way that places half as many images as another has less to miss.
     let most = exact.iter().map(|(i, _)| share(&candidates[*i])).fold(0.0, f64::max);
     let whole: Vec<(usize, f64)> = exact.into_iter().filter(|(i, _)| share(&candidates[*i]) >= 0.8 * most).collect();
@@ -172,5 +170,4 @@ fn share((rule, frames): &(Rule, BTreeMap<u32, u32>)) -> f64 {
 }
 
 #[cfg(test)]
-#[path = "tests.rs"]
 mod tests;

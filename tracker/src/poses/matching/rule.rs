@@ -9,9 +9,8 @@ use super::names::{Named, Numbered, natural_order, numberings, stem};
 /// Steps between frames that are tried one by one.
 const MOST_STEP: u64 = 400;
 /// Pictures per second that tools take from a video.
-pub(super) const RATES: [f64; 19] = [
-    0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 23.976, 24.0, 25.0, 29.97, 30.0, 50.0, 60.0,
-];
+pub(super) const RATES: [f64; 19] =
+    [0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 23.976, 24.0, 25.0, 29.97, 30.0, 50.0, 60.0];
 
 /// What the user states about the names of a model's images; all `None` lets names and landmarks decide.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -85,7 +84,11 @@ impl fmt::Display for Rule {
                 write!(f, "by number, counted from {first}")?;
             }
             Key::Number => {
-                write!(f, "by number, {} frames from one to the next, number {start} being frame {offset}", Tidy(*step))?;
+                write!(
+                    f,
+                    "by number, {} frames from one to the next, number {start} being frame {offset}",
+                    Tidy(*step)
+                )?;
             }
             Key::Order if *step == 1.0 => write!(f, "by the order of their names, the first being frame {offset}")?,
             Key::Order => {
@@ -207,8 +210,7 @@ fn by_file_name(folder: Option<&String>, images: &[Named], pictures: &[String]) 
     let frame_of = |file: &str| {
         if frames.len() == pictures.len() { frames.get(&stem(file)) } else { whole.get(&file.to_lowercase()) }
     };
-    let matched: Vec<(u64, u32)> =
-        images.iter().filter_map(|i| Some((u64::from(*frame_of(&i.file)?), i.id))).collect();
+    let matched: Vec<(u64, u32)> = images.iter().filter_map(|i| Some((u64::from(*frame_of(&i.file)?), i.id))).collect();
     named_way(Key::FileName, folder, images.len(), matched, pictures.len(), |frame| frame as u32)
 }
 
@@ -218,7 +220,9 @@ fn by_picture_number(folder: Option<&String>, images: &[Named], pictures: &[Stri
     let frames: BTreeMap<u64, u32> = own.images.iter().copied().collect();
     let theirs = numberings(images).into_iter().find(|n| !n.by_order)?;
     let matched: Vec<(u64, u32)> = theirs.images.into_iter().filter(|(n, _)| frames.contains_key(n)).collect();
-    named_way(Key::PictureNumber, folder, images.len(), matched, pictures.len(), |n| frames.get(&n).copied().unwrap_or(0))
+    named_way(Key::PictureNumber, folder, images.len(), matched, pictures.len(), |n| {
+        frames.get(&n).copied().unwrap_or(0)
+    })
 }
 
 fn named_way(
