@@ -11,6 +11,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use risorius_formats::atomic::{self, AtomicDir};
+use risorius_formats::landmark_table::LandmarkTable;
 use risorius_formats::{ActionUnit, AttributeSpec, AttributeTable, RegionTable, Reporter, Warning};
 
 use crate::align::TakeInput;
@@ -108,6 +109,7 @@ pub fn build_timed(takes: &[PathBuf], out: &Path, options: &BuildOptions, report
     Provenance::of(&inputs).write(dir)?;
     tables::write(dir, &rows)?;
     tables::intensities_of(&rows).write(dir)?;
+    landmarks_of(&inputs, &rows, &signals).write(dir)?;
     let about: Vec<_> = inputs.iter().zip(&signals).map(|(i, s)| stats::about_take(i, s)).collect();
     let report = stats::collect(&rows, about, options);
     report::write(dir, &rows, &report, options, &thumbnails)?;
@@ -240,6 +242,19 @@ fn mark(rows: &mut Rows, chosen: &[Chosen], ids: &[String]) {
             Role::Neither => "none",
         });
     }
+}
+
+/// The tracked landmarks of the chosen frames.
+fn landmarks_of(inputs: &[TakeInput], rows: &Rows, signals: &[Signals]) -> LandmarkTable {
+    let mut table = LandmarkTable::default();
+    for ((input, take), signals) in inputs.iter().zip(&rows.takes).zip(signals) {
+        for valid in &signals.frames {
+            let id = take.frames[valid.frame as usize].id.clone();
+            let landmarks = input.track.rows[valid.row].landmarks.as_deref().cloned();
+            table.rows.extend(id.zip(landmarks));
+        }
+    }
+    table
 }
 
 /// What is to be written of each chosen frame, take after take.

@@ -7,6 +7,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use risorius_formats::atomic::AtomicDir;
+use risorius_formats::landmark_table::LandmarkTable;
 use risorius_formats::nerfies::{self, Dataset};
 use risorius_formats::{AttributeTable, ErrorKind, FormatError, Reporter};
 use serde::Serialize;
@@ -69,6 +70,10 @@ pub fn redact(dir: &Path, name: &str, reporter: &dyn Reporter) -> Result<Redacte
     provenance.write(out)?;
     tables::write(out, &rows)?;
     tables::intensities_of(&rows).write(out)?;
+    if let Some(mut landmarks) = LandmarkTable::read(dir)? {
+        landmarks.rows.retain(|id, _| !gone.contains(id));
+        landmarks.write(out)?;
+    }
     let report = stats::collect(&rows, about, &options);
     report::write(out, &rows, &report, &options, &sheet::thumbnails(out, &rest, &rows)?)?;
     if reporter.cancelled() {

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use image::ImageReader;
 use rayon::prelude::*;
+use risorius_formats::landmark_table::{self, LandmarkTable};
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{self, Dataset, Polygons};
 use risorius_formats::{AttributeTable, FormatError, Reporter, package};
@@ -84,6 +85,7 @@ pub fn verify(dir: &Path, reporter: &dyn Reporter) -> Verdict {
     check_annotations(dir, &dataset, &mut verdict);
     let regions = check_attributes(dir, &dataset, &mut verdict);
     check_cameras(dir, &dataset, &mut verdict);
+    check_landmarks(dir, &dataset, &mut verdict);
     check_tables(dir, &dataset, &mut verdict);
     check_pictures(dir, &dataset, regions, &mut verdict, reporter);
     finish(&mut verdict);
@@ -123,6 +125,26 @@ fn check_splits(dir: &Path, dataset: &Dataset, verdict: &mut Verdict) {
             if let Some(other) = dataset.source_frame(id).and_then(|t| times.insert(t, id)) {
                 verdict.add(dir.join("metadata.json"), format!("`{other}` and `{id}` have the same time_id"));
             }
+        }
+    }
+}
+
+/// Landmarks must belong to frames of the dataset and lie near the picture.
+fn check_landmarks(dir: &Path, dataset: &Dataset, verdict: &mut Verdict) {
+    let path = landmark_table::path(dir);
+    let table = match LandmarkTable::read(dir) {
+        Ok(table) => table.unwrap_or_default(),
+        Err(error) => return verdict.add_error(&path, &error),
+    };
+    for (id, landmarks) in &table.rows {
+        let Some(camera) = dataset.cameras.get(id) else {
+            verdict.add(&path, format!("`{id}` is not among the dataset's ids"));
+            continue;
+        };
+        let (width, height) = (camera.intrinsics.width as f32, camera.intrinsics.height as f32);
+        let [left, top, right, bottom] = landmarks.bounds_px();
+        if left > width || top > height || right < 0.0 || bottom < 0.0 {
+            verdict.add(&path, format!("the landmarks of `{id}` lie outside its picture"));
         }
     }
 }

@@ -35,6 +35,7 @@ pub mod hash;
 pub mod head_hull;
 pub mod html;
 pub mod intensities;
+pub mod landmark_table;
 pub mod landmarks;
 pub mod mask;
 pub mod nerfies;

@@ -208,7 +208,15 @@ pub(super) fn run(args: &Args, console: &Console) -> Result<(), Failure> {
     let stage = Stage::new("dataset build", &args.out, &asked)?;
     let Some(running) = stage.begin(args.again, takes, console)? else { return Ok(()) };
     let built = crate::build_timed(&args.takes, &args.out, &options, console)?;
-    let files = ["dataset.json", "metadata.json", "scene.json", "attributes.toml", "takes.toml", "intensities.csv"];
+    let files = [
+        "dataset.json",
+        "metadata.json",
+        "scene.json",
+        "attributes.toml",
+        "takes.toml",
+        "intensities.csv",
+        "landmarks.csv",
+    ];
     running.finish(&files)?;
     console.finish(&Document::of(&built), &summary(&built.report, &args.out));
     Ok(())

@@ -1,0 +1,464 @@
+//! One step of a fit, and what it needs to know of those before it.
+//!
+//! A step looks at one training image: project, bin, rasterise with the loss and its gradient, then one pass over the
+//! visible groups that goes back through projection and blending and moves them (Adam). The result depends on the seed and
+//! the shares `done` that the caller gives, not on threads.
+
+mod begin;
+mod densify;
+mod fill;
+mod images;
+mod memberships;
+mod settings;
+
+use rand::seq::SliceRandom;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use risorius_formats::{Camera, Isometry};
+use serde::{Deserialize, Serialize};
+
+pub use self::begin::gate;
+pub(crate) use self::memberships::logistic;
+pub use self::images::PerImage;
+use self::images::ImageRates;
+pub use self::settings::Settings;
+use crate::bin::{Bins, Line};
+use crate::init::{self, Start};
+use crate::model::{Gaussians, LATENT, LANES, Layout};
+use crate::project::active_bases;
+use crate::raster::{RowNumbers, Target, Tile, TrainRow};
+use crate::scene::{Frame, Scene};
+use crate::simd;
+use crate::update::{Evidence, Moments, Rates, Update, Whole};
+use crate::view::View;
+
+/// Pixels of the smallest size that a fit begins at.
+const COARSE_PIXELS: f32 = 32_400.0;
+
+/// How far a fit is.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Progress {
+    /// Steps done.
+    pub step: u64,
+    /// Densifications done.
+    pub densified: u32,
+    /// Steps in which each basis acted.
+    pub basis_steps: Vec<u32>,
+}
+
+/// What a step measured.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct StepNumbers {
+    /// Pixels compared.
+    pub pixels: usize,
+    /// Mean squared colour error.
+    pub color: f64,
+    /// Mean squared mask error; 0 in steps that fit no masks.
+    pub mask: f64,
+    /// Mean of eq. 17 over the annotated AUs.
+    pub attribute: f64,
+    /// Gaussians there are.
+    pub gaussians: usize,
+    /// Gaussians in the picture.
+    pub visible: usize,
+    /// Pairs of a Gaussian and a tile.
+    pub pairs: usize,
+    /// Gaussians whose gradient was not finite.
+    pub not_finite: usize,
+}
+
+/// A fit in progress.
+#[derive(Debug)]
+pub struct Fitter {
+    /// The avatar.
+    pub model: Gaussians,
+    /// What belongs to single images.
+    pub images: PerImage,
+    /// What decides the fit.
+    pub settings: Settings,
+    /// How far it is.
+    pub progress: Progress,
+    /// Head pose per frame before corrections.
+    pub head_poses: Vec<Isometry>,
+    base_moments: Moments,
+    delta_moments: Moments,
+    membership_moments: Moments,
+    movement: Vec<f32>,
+    work: Work,
+}
+
+/// What a step works in.
+#[derive(Debug, Default)]
+struct Work {
+    bins: Bins,
+    sums: Vec<Line>,
+    tiles: Vec<Tile>,
+    /// The images' order of this pass over them, and which pass it is.
+    order: (u64, Vec<u32>),
+    gaussians: usize,
+}
+
+impl Fitter {
+    /// Begins a fit; `say` is told what takes long. The scene is looked at by all threads of the pool.
+    pub fn new(scene: &Scene<'_>, settings: Settings, say: &dyn Fn(&str)) -> Self {
+        let [head, room] = settings.voxel_mm.map(|v| f64::from(v) * 1e-3);
+        let stereo = init::StereoSettings { head_voxel_m: head, room_voxel_m: room, ..Default::default() };
+        let start = init::start(scene, &init::StartSettings { stereo }, say);
+        Self::from_start(scene, settings, start, say)
+    }
+
+    /// Begins a fit with given Gaussians.
+    pub fn from_start(scene: &Scene<'_>, settings: Settings, start: Start, say: &dyn Fn(&str)) -> Self {
+        let Start { mut seeds, motion, head_poses, .. } = start;
+        let layout = Layout {
+            region_of: scene.region_of.clone(),
+            regions: scene.regions,
+            latent: if settings.latent { LATENT } else { 0 },
+            images: scene.frames.len(),
+        };
+        fill::fill(scene, &layout, &mut seeds, &head_poses);
+        say(&format!("{} Gaussians to begin with", seeds.len()));
+        let model = begin::model(layout, &seeds, motion.as_ref());
+        let images = PerImage::new(scene.frames.len(), scene.region_of.len());
+        Self::assemble(model, images, settings, Progress::default(), head_poses)
+    }
+
+    fn assemble(
+        model: Gaussians,
+        images: PerImage,
+        settings: Settings,
+        progress: Progress,
+        head_poses: Vec<Isometry>,
+    ) -> Self {
+        Self {
+            base_moments: Moments::zero(model.base.len()),
+            delta_moments: Moments::zero(model.deltas.len()),
+            membership_moments: Moments::zero(model.membership.len()),
+            movement: vec![0.0; model.groups() * LANES],
+            work: Work { gaussians: model.count(), ..Work::default() },
+            model,
+            images,
+            settings,
+            progress,
+            head_poses,
+        }
+    }
+
+    /// One step; `done` (0–1) is the share of the fit that lies behind, which sets rates, size and growth.
+    pub fn step(&mut self, scene: &Scene<'_>, done: f32) -> StepNumbers {
+        let done = done.clamp(0.0, 1.0);
+        if densify::is_due(&self.settings, self.progress.densified, done) {
+            self.densify();
+            self.work.gaussians = self.model.count();
+        }
+        self.progress.step += 1;
+        let step = self.progress.step;
+        let image = self.draw_image(scene.frames.len());
+        let mut rng = rng_for(self.settings.seed, step, 1);
+        let coded = self.settings.latent && rng.random::<f32>() < self.settings.code_share;
+        let frame = &scene.frames[image];
+        let reduce = reduce_at(frame, self.settings.coarse_share, done);
+        let (camera, room_from_head) = self.poses(frame, image);
+        let camera = reduced(&camera, reduce);
+        let view = View::new(&camera, &room_from_head);
+        let activations = self.activations(frame, image, coded);
+        let active = active_bases(&self.model.layout, &activations);
+        self.work.bins.fill(&self.model, &view, &active);
+        let target = Target {
+            rgb: frame.rgb,
+            valid: frame.valid,
+            backdrop: scene.plate.as_ref().map(|p| p.rgb),
+            width: frame.camera.intrinsics.width as usize,
+            reduce: reduce as usize,
+        };
+        let numbers = self.work.rasterise(&view, &target);
+        self.progress.basis_steps.resize(self.model.layout.bases(), 0);
+        active.iter().for_each(|a| self.progress.basis_steps[a.basis] += 1);
+        let correction: Vec<f32> =
+            active.iter().map(|a| bias_correction(u64::from(self.progress.basis_steps[a.basis]))).collect();
+        let heads_move = self.settings.refine_head && self.head_poses.iter().any(|p| *p != Isometry::IDENTITY);
+        let evidence = Evidence {
+            view: &view,
+            active: &active,
+            bins: &self.work.bins,
+            sums: &self.work.sums,
+            rates: self.rates(scene, &view, done),
+            base_correction: bias_correction(step),
+            correction: &correction,
+            poses: self.settings.refine_cameras || heads_move,
+        };
+        let whole = Update {
+            model: &mut self.model,
+            base: &mut self.base_moments,
+            deltas: &mut self.delta_moments,
+            movement: &mut self.movement,
+        }
+        .apply(&evidence);
+        let attribute = self.step_image(frame, image, &camera, &active, &whole, coded, &numbers, done, heads_move);
+        let mut out = StepNumbers {
+            pixels: numbers.pixels,
+            color: numbers.squared / (3 * numbers.pixels.max(1)) as f64,
+            attribute,
+            mask: 0.0,
+            gaussians: self.work.gaussians,
+            visible: self.work.bins.visible.len(),
+            pairs: self.work.bins.slots.len(),
+            not_finite: whole.not_finite,
+        };
+        if self.settings.mask_every > 0 && step.is_multiple_of(self.settings.mask_every) && frame.labels.is_some() {
+            out.mask = self.fit_memberships(frame, &view, reduce as usize, done);
+        }
+        out
+    }
+
+    /// A random image, each once before any comes again.
+    fn draw_image(&mut self, count: usize) -> usize {
+        let (pass, at) = ((self.progress.step - 1) / count as u64, (self.progress.step - 1) % count as u64);
+        let order = &mut self.work.order;
+        if order.0 != pass || order.1.len() != count {
+            let mut list: Vec<u32> = (0..count as u32).collect();
+            list.shuffle(&mut rng_for(self.settings.seed, pass, 0));
+            *order = (pass, list);
+        }
+        order.1[at as usize] as usize
+    }
+
+    /// Camera and head of an image with their corrections.
+    fn poses(&self, frame: &Frame<'_>, image: usize) -> (Camera, Isometry) {
+        let mut camera = frame.camera;
+        if self.settings.refine_cameras {
+            camera.camera_from_world = self.images.camera_motion(image).compose(&camera.camera_from_world);
+        }
+        let head = self.head_poses.get(image).copied().unwrap_or(frame.room_from_head);
+        let head = if self.settings.refine_head { self.images.head_motion(image).compose(&head) } else { head };
+        (camera, head)
+    }
+
+    /// Activations of an image: annotated ones with their offsets, then the code where it acts.
+    fn activations(&self, frame: &Frame<'_>, image: usize, coded: bool) -> Vec<f32> {
+        let aus = self.model.layout.region_of.len();
+        let mut out = vec![0.0; self.model.layout.bases()];
+        if let Some(annotated) = &frame.activations {
+            let alphas = &self.images.alphas[image * aus..(image + 1) * aus];
+            for ((out, a), alpha) in out.iter_mut().zip(annotated).zip(alphas) {
+                *out = (a + 0.5 * alpha).max(0.0);
+            }
+        }
+        if coded {
+            out[aus..].copy_from_slice(&self.images.code(image)[..self.model.layout.latent]);
+        }
+        out
+    }
+
+    fn rates(&self, scene: &Scene<'_>, view: &View, done: f32) -> Rates {
+        let s = &self.settings;
+        let decay = s.final_rate.powf(done);
+        let full = scene.frames[0].camera.intrinsics.fx as f32;
+        Rates {
+            // A pixel of the full size, whatever size the step is at.
+            mean: s.mean_px / full.max(view.lens.focal[0]) * s.mean_final.powf(done),
+            depth: s.depth_factor / camera_spread(scene).max(0.02),
+            delta: s.delta_factor,
+            log_scale: s.log_scale_rate * decay,
+            quaternion: s.quaternion_rate * decay,
+            opacity: s.opacity_rate * decay,
+            color: s.color_rate * decay,
+            sh1: s.sh_rate * decay,
+        }
+    }
+
+    #[allow(clippy::too_many_arguments, reason = "what a step knows of its image")]
+    fn step_image(
+        &mut self,
+        frame: &Frame<'_>,
+        image: usize,
+        camera: &Camera,
+        active: &[crate::project::Active],
+        whole: &Whole,
+        coded: bool,
+        numbers: &RowNumbers,
+        done: f32,
+        heads_move: bool,
+    ) -> f64 {
+        let s = &self.settings;
+        let aus = self.model.layout.region_of.len();
+        let mut d = vec![0.0; self.model.layout.bases()];
+        active.iter().zip(&whole.activations).for_each(|(a, &g)| d[a.basis] = g);
+        let decay = s.final_rate.powf(done);
+        let pixels = 3.0 * numbers.pixels as f32;
+        // Early pictures say little about poses.
+        let poses = if done > 0.05 { decay } else { 0.0 };
+        let pose = |on: bool| if on { [s.pose_rate[1] * poses, s.pose_rate[0] * poses] } else { [0.0; 2] };
+        let [first, last] = s.attribute_weight;
+        let rates = ImageRates {
+            image: s.image_rate * decay,
+            code: s.code_rate * decay,
+            head: pose(heads_move),
+            camera: pose(s.refine_cameras),
+            attribute: first * (last / first.max(1e-12)).max(1e-6).powf(done) * pixels / aus.max(1) as f32,
+            latent: s.latent_weight * pixels,
+        };
+        let codes = (coded && self.model.layout.latent > 0).then(|| &d[aus..]);
+        let room_from_camera = camera.camera_from_world.rotation.transpose();
+        let annotated = frame.activations.is_some().then(|| &d[..aus]);
+        let eq17 = self.images.step(image, (annotated, codes), whole, &room_from_camera, &rates);
+        eq17 / aus.max(1) as f64
+    }
+
+    /// Every array that a checkpoint holds, by name; [`Self::restore`] takes them back. Moments included.
+    pub fn arrays(&self) -> Vec<(&'static str, &[f32])> {
+        let (m, i) = (&self.model, &self.images);
+        vec![
+            ("base", &m.base),
+            ("deltas", &m.deltas),
+            ("gates", &m.gates),
+            ("membership", &m.membership),
+            ("head_weight", &m.head_weight),
+            ("base.first", &self.base_moments.first),
+            ("base.second", &self.base_moments.second),
+            ("deltas.first", &self.delta_moments.first),
+            ("deltas.second", &self.delta_moments.second),
+            ("membership.first", &self.membership_moments.first),
+            ("membership.second", &self.membership_moments.second),
+            ("movement", &self.movement),
+            ("alphas", &i.alphas),
+            ("log_betas", &i.log_betas),
+            ("codes", &i.codes),
+            ("head_motions", &i.head_motions),
+            ("camera_motions", &i.camera_motions),
+            ("image.moments", &i.moments),
+            ("image.steps", &i.steps),
+        ]
+    }
+
+    /// A fit that goes on from the arrays of a checkpoint; says what is wrong with them.
+    pub fn restore(
+        layout: Layout,
+        settings: Settings,
+        progress: Progress,
+        head_poses: Vec<Isometry>,
+        arrays: &mut dyn FnMut(&str) -> Result<Vec<f32>, String>,
+    ) -> Result<Self, String> {
+        let mut take = |name: &str| {
+            let values = arrays(name)?;
+            match values.iter().find(|v| !v.is_finite()) {
+                Some(bad) => Err(format!("`{name}` holds {bad}")),
+                None => Ok(values),
+            }
+        };
+        let base = take("base")?;
+        let deltas = take("deltas")?;
+        let model = Gaussians::from_arrays(
+            layout,
+            base,
+            deltas,
+            take("gates")?,
+            take("membership")?,
+            take("head_weight")?,
+        )?;
+        let expected = PerImage::new(model.layout.images, model.layout.region_of.len());
+        let images = PerImage {
+            alphas: take("alphas")?,
+            log_betas: take("log_betas")?,
+            codes: take("codes")?,
+            head_motions: take("head_motions")?,
+            camera_motions: take("camera_motions")?,
+            moments: take("image.moments")?,
+            steps: take("image.steps")?,
+        };
+        let mut out = Self::assemble(model, images, settings, progress, head_poses);
+        out.base_moments = Moments { first: take("base.first")?, second: take("base.second")? };
+        out.delta_moments = Moments { first: take("deltas.first")?, second: take("deltas.second")? };
+        out.membership_moments = Moments { first: take("membership.first")?, second: take("membership.second")? };
+        out.movement = take("movement")?;
+        let fresh = Self::assemble(
+            out.model.clone(),
+            expected,
+            out.settings.clone(),
+            out.progress.clone(),
+            out.head_poses.clone(),
+        );
+        for ((name, read), (_, own)) in out.arrays().into_iter().zip(fresh.arrays()) {
+            if read.len() != own.len() {
+                return Err(format!("`{name}` holds {} numbers, expected {}", read.len(), own.len()));
+            }
+        }
+        Ok(out)
+    }
+
+    /// The avatar as it is to be saved.
+    pub fn avatar(&self) -> Gaussians {
+        self.model.clone()
+    }
+}
+
+impl Work {
+    /// Compositing, loss and sums of every entry, row of tiles by row of tiles.
+    fn rasterise(&mut self, view: &View, target: &Target<'_>) -> RowNumbers {
+        let columns = view.columns();
+        let rows = view.tiles() / columns.max(1);
+        let bins = &self.bins;
+        self.sums.resize(bins.slots.len(), Line::ZERO);
+        self.tiles.resize_with(rows, Tile::default);
+        let mut rest = self.sums.as_mut_slice();
+        let mut work = Vec::with_capacity(rows);
+        for (row, tile) in self.tiles.iter_mut().enumerate() {
+            let len = bins.entries((row + 1) * columns - 1).end - bins.entries(row * columns).start;
+            let (own, more) = rest.split_at_mut(len);
+            rest = more;
+            work.push((row, own, tile));
+        }
+        let (width, height) = (view.width, view.height);
+        let numbers: Vec<RowNumbers> = work
+            .into_par_iter()
+            .map(|(row, sums, tile)| simd::run(TrainRow { bins, target, row, columns, width, height, sums, tile }))
+            .collect();
+        numbers.iter().fold(RowNumbers::default(), |sum, n| RowNumbers {
+            pixels: sum.pixels + n.pixels,
+            squared: sum.squared + n.squared,
+        })
+    }
+}
+
+/// √(1 − β₂ᵗ)/(1 − β₁ᵗ)
+fn bias_correction(t: u64) -> f32 {
+    let t = t.clamp(1, 10_000) as i32;
+    (1.0 - 0.99f32.powi(t)).sqrt() / (1.0 - 0.9f32.powi(t))
+}
+
+/// How many times smaller than its frame a step's picture is.
+fn reduce_at(frame: &Frame<'_>, coarse_share: f32, done: f32) -> u32 {
+    let i = &frame.camera.intrinsics;
+    let pixels = (i.width * i.height) as f32;
+    let levels = ((pixels / COARSE_PIXELS).sqrt().log2().round().max(0.0) as u32).min(4);
+    // Each finer size takes as long as all before it together.
+    (0..levels).find(|l| done < coarse_share * (1 << l) as f32).map_or(1, |l| 1 << (levels - l))
+}
+
+/// The camera of a picture of whole means of `reduce`² pixels; what is left over at the right and below is not looked at.
+fn reduced(camera: &Camera, reduce: u32) -> Camera {
+    if reduce == 1 {
+        return *camera;
+    }
+    let mut out = camera.reduced(reduce);
+    out.intrinsics.width = camera.intrinsics.width / reduce;
+    out.intrinsics.height = camera.intrinsics.height / reduce;
+    out
+}
+
+/// How far the cameras are spread about their middle, metres: twice the root of the mean square, sideways and up.
+pub(crate) fn camera_spread(scene: &Scene<'_>) -> f32 {
+    let n = scene.frames.len().max(1) as f64;
+    let centers = || scene.frames.iter().map(|f| f.camera.center());
+    let mean = centers().sum::<glam::DVec3>() / n;
+    let square = centers().map(|c| (c - mean).length_squared()).sum::<f64>() / n;
+    (2.0 * square.sqrt()) as f32
+}
+
+/// The random numbers of one purpose at one step.
+fn rng_for(seed: u64, step: u64, purpose: u64) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(step.wrapping_mul(1024).wrapping_add(purpose));
+    rng
+}

@@ -1,0 +1,200 @@
+//! A row of tiles in a training step: compositing, loss, and the backward pass down to nine sums per entry.
+//!
+//! The loss is Charbonnier's, Σ √(d² + 0.1²) over pixels and channels. The backward pass runs front to back with
+//! A = g · (C_final − C so far): `w = Tα; A −= w (g·c); ∂α = T (g·c) − A/(1 − α); q = α ∂α`. The sums of an entry are
+//! Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy², Σw g: all 2D gradients follow from them (see [`crate::update`]).
+
+use super::{LOG2_LEAST, LOG2_MOST, CENTERS, TILE_BLOCKS, Tile, exponent};
+use crate::TILE;
+use crate::bin::{Bins, Line};
+use crate::project::record;
+use crate::simd::{F, Simd, Task, exp2_fast, greater, sums8};
+
+/// ε of the loss, in colours of 0–1.
+pub(crate) const CHARBONNIER: f32 = 0.1;
+/// What is behind everything where nothing else is known.
+pub(crate) const BACKDROP: f32 = 0.5;
+
+/// What a picture is compared with.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Target<'a> {
+    /// RGB bytes at full size, row by row.
+    pub rgb: &'a [u8],
+    /// Non-zero where a pixel counts.
+    pub valid: Option<&'a [u8]>,
+    /// RGB bytes behind everything.
+    pub backdrop: Option<&'a [u8]>,
+    /// Pixels along a row at full size.
+    pub width: usize,
+    /// How many times the picture is smaller than `rgb`: its pixels are compared with means of `reduce`².
+    pub reduce: usize,
+}
+
+impl Target<'_> {
+    /// Colours (0–1) and whether they count, backdrop: of the pixel (x, y) of the reduced picture.
+    #[inline(always)]
+    fn pixel(&self, x: usize, y: usize) -> ([f32; 3], f32, [f32; 3]) {
+        let s = self.reduce;
+        let (mut sum, mut behind, mut counts) = ([0u32; 3], [0u32; 3], true);
+        for dy in 0..s {
+            for dx in 0..s {
+                let at = (y * s + dy) * self.width + x * s + dx;
+                let p = &self.rgb[at * 3..at * 3 + 3];
+                for c in 0..3 {
+                    sum[c] += u32::from(p[c]);
+                }
+                if let Some(backdrop) = self.backdrop {
+                    for c in 0..3 {
+                        behind[c] += u32::from(backdrop[at * 3 + c]);
+                    }
+                }
+                counts &= self.valid.is_none_or(|v| v[at] != 0);
+            }
+        }
+        let scale = 1.0 / (255.0 * (s * s) as f32);
+        let behind = if self.backdrop.is_some() { behind.map(|v| v as f32 * scale) } else { [BACKDROP; 3] };
+        (sum.map(|v| v as f32 * scale), f32::from(u8::from(counts)), behind)
+    }
+}
+
+/// What a row of tiles measured.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct RowNumbers {
+    /// Pixels that count.
+    pub pixels: usize,
+    /// Sum of squared errors over channels.
+    pub squared: f64,
+}
+
+/// A row of tiles.
+pub(crate) struct TrainRow<'a> {
+    pub bins: &'a Bins,
+    pub target: &'a Target<'a>,
+    pub row: usize,
+    pub columns: usize,
+    pub width: usize,
+    pub height: usize,
+    /// One line per entry of the row.
+    pub sums: &'a mut [Line],
+    pub tile: &'a mut Tile,
+}
+
+impl Task for TrainRow<'_> {
+    type Output = RowNumbers;
+    #[inline(always)]
+    fn run<S: Simd>(self) -> RowNumbers {
+        let Self { bins, target, row, columns, width, height, sums, tile } = self;
+        let mut numbers = RowNumbers::default();
+        let first = bins.entries(row * columns).start;
+        for column in 0..columns {
+            let index = row * columns + column;
+            tile.load(bins, index, columns);
+            tile.composite::<S>(width, height);
+            let gradients = loss::<S>(tile, target, width, height, &mut numbers);
+            let entries = bins.entries(index);
+            backward::<S>(tile, &gradients, &mut sums[entries.start - first..entries.end - first]);
+        }
+        numbers
+    }
+}
+
+/// Per block ∂L/∂C, and A at the start.
+struct Gradients {
+    g: [[Line; 3]; TILE_BLOCKS],
+    a: [Line; TILE_BLOCKS],
+}
+
+#[inline(always)]
+fn loss<S: Simd>(tile: &mut Tile, target: &Target<'_>, width: usize, height: usize, numbers: &mut RowNumbers) -> Gradients {
+    let mut out = Gradients { g: [[Line::ZERO; 3]; TILE_BLOCKS], a: [Line::ZERO; TILE_BLOCKS] };
+    for block in 0..TILE_BLOCKS {
+        let (mut wanted, mut behind, mut counts) = ([[0.0f32; 16]; 3], [[0.0f32; 16]; 3], [0.0f32; 16]);
+        let (x0, y0) = (tile.left + block % 4 * 4, tile.top + block / 4 * 4);
+        for i in 0..16 {
+            let (x, y) = (x0 + i % 4, y0 + i / 4);
+            if x < width && y < height {
+                let (color, weight, backdrop) = target.pixel(x, y);
+                for c in 0..3 {
+                    wanted[c][i] = color[c];
+                    behind[c][i] = backdrop[c];
+                }
+                counts[i] = weight;
+            }
+        }
+        let counts = F::<S>::load(&counts);
+        let t = F::load(&tile.transmittance[block].0);
+        let (mut a, mut squared) = (F::splat(0.0), F::splat(0.0));
+        for c in 0..3 {
+            let color = t.fma(F::load(&behind[c]), F::load(&tile.color[block][c].0));
+            let d = (color - F::load(&wanted[c])) * counts;
+            let g = d.over(d.fma(d, F::splat(CHARBONNIER * CHARBONNIER)).sqrt());
+            squared = d.fma(d, squared);
+            a = g.fma(color, a);
+            g.store(&mut out.g[block][c].0);
+        }
+        a.store(&mut out.a[block].0);
+        numbers.squared += f64::from(squared.sum());
+        numbers.pixels += counts.sum() as usize;
+    }
+    out
+}
+
+#[inline(always)]
+fn backward<S: Simd>(tile: &mut Tile, gradients: &Gradients, sums: &mut [Line]) {
+    let zero = F::<S>::splat(0.0);
+    let one = F::<S>::splat(1.0);
+    let (mut t, mut a) = ([Line::ZERO; TILE_BLOCKS], gradients.a);
+    for block in 0..TILE_BLOCKS {
+        let bits = if tile.stop[block] > 0 { 1.0 } else { 0.0 };
+        t[block] = Line([bits; 16]);
+    }
+    for (entry, (line, sums)) in tile.lines.iter().zip(sums).enumerate() {
+        // Blocks that stopped before this entry take no part.
+        let alive = greater::<S>(&tile.stop, entry as u32);
+        let mut bits = tile.masks[entry] & alive;
+        if bits == 0 {
+            *sums = Line::ZERO;
+            continue;
+        }
+        let r = &line.0;
+        let (u, v) = (F::<S>::splat(r[record::U]), F::<S>::splat(r[record::V]));
+        let (red, green, blue) =
+            (F::splat(r[record::RGB]), F::splat(r[record::RGB + 1]), F::splat(r[record::RGB + 2]));
+        let mut s = [zero; 8];
+        let mut last = zero;
+        while bits != 0 {
+            let block = bits.trailing_zeros() as usize & (TILE_BLOCKS - 1);
+            bits &= bits - 1;
+            let (x, y) = (&CENTERS[block].0, &CENTERS[block].1);
+            let (dx, dy) = (F::load(x) - u, F::load(y) - v);
+            let e = exponent(r, dx, dy);
+            let alpha = exp2_fast(e.min(F::splat(LOG2_MOST)));
+            let drawn = F::splat(LOG2_LEAST).lt(e);
+            let g = &gradients.g[block];
+            let (g_red, g_green, g_blue) = (F::load(&g[0].0), F::load(&g[1].0), F::load(&g[2].0));
+            let through = F::load(&t[block].0);
+            let color = g_red.fma(red, g_green.fma(green, g_blue * blue));
+            let w = drawn.select(through * alpha, zero);
+            let behind = w.fnma(color, F::load(&a[block].0));
+            behind.store(&mut a[block].0);
+            (through - w).store(&mut t[block].0);
+            let d_alpha = through.fma(color, -(behind * (one - alpha).reciprocal()));
+            // Where α was cut at its most, nothing goes back to opacity and place.
+            let q = drawn.and(e.lt(F::splat(LOG2_MOST))).select(alpha * d_alpha, zero);
+            let (qx, qy) = (q * dx, q * dy);
+            s[0] += q;
+            s[1] += qx;
+            s[2] += qy;
+            s[3] = qx.fma(dx, s[3]);
+            s[4] = qx.fma(dy, s[4]);
+            s[5] = qy.fma(dy, s[5]);
+            s[6] = w.fma(g_red, s[6]);
+            s[7] = w.fma(g_green, s[7]);
+            last = w.fma(g_blue, last);
+        }
+        sums.0[..8].copy_from_slice(&sums8(&s));
+        sums.0[8] = last.sum();
+    }
+}
+
+const _: () = assert!(TILE == 16, "a block is a vector of 4×4 pixels, 16 of them a tile");
