@@ -13,8 +13,8 @@ use std::collections::BTreeMap;
 
 use risorius_formats::{Camera, Track};
 
-use self::names::Named;
-pub(crate) use self::rule::{Numbering, Rule, Way};
+pub use self::rule::Numbering;
+pub(crate) use self::rule::{Rule, Way};
 use self::score::Evidence;
 
 /// Frames that a score is made of in the end, and while many ways are tried.
@@ -27,6 +27,8 @@ const CLEARLY_PX: f64 = 0.02;
 const CLEARLY_AGAINST_NAMES: f64 = 1.5;
 /// A mean face farther than this share of the distance between the outer eye corners sets off the wide search.
 const DOUBTFUL: f64 = 0.03;
+/// Offsets to either side that are tried for pictures several frames apart.
+const MOST_OFFSETS: i32 = 60;
 /// What the wide search finds has to fit so many times better.
 const FOUND: f64 = 2.0;
 
@@ -87,7 +89,7 @@ pub(crate) fn decide(
         });
     }
     if error.is_some_and(|e| e <= doubtful) {
-        return usual;
+        return usual.map(|matched| with_best_offset(matched, &ways, subject, &evidence));
     }
     let found = search::wide(&ways, subject, &evidence);
     match (found, usual) {
@@ -96,6 +98,28 @@ pub(crate) fn decide(
             Some(Matched { frames, rule, error_px: Some(px), instead_of, better: None })
         }
         (_, usual) => usual,
+    }
+}
+
+/// Where pictures lie several frames apart, names do not tell with which frame they begin: the offset that fits is taken.
+fn with_best_offset(matched: Matched, ways: &[Way], subject: &Subject<'_>, evidence: &Evidence<'_>) -> Matched {
+    let (rule, Some(px)) = (&matched.rule, matched.error_px) else { return matched };
+    let Some(way) = ways.iter().find(|w| w.is_of(rule)).filter(|_| rule.step > 1.0) else { return matched };
+    let reach = rule.step.ceil() as i32;
+    let every = (reach / MOST_OFFSETS).max(1);
+    let offsets = (-reach..=reach).step_by(every as usize).map(|o| rule.offset + f64::from(o)).filter(|o| *o >= 0.0);
+    let of = |offset: f64| {
+        let rule = way.rule(offset, rule.step);
+        let frames = way.frames(&rule, subject);
+        // As many images as before have to be frames of the take, but for one at either end.
+        (frames.len() + 2 >= matched.frames.len())
+            .then(|| Some((evidence.score(&frames, EXACT)?.error_px, rule, frames)))?
+    };
+    match offsets.filter_map(of).min_by(|a, b| a.0.total_cmp(&b.0)) {
+        Some((better, rule, frames)) if CLEARLY * better + CLEARLY_PX < px => {
+            Matched { frames, rule, error_px: Some(better), ..matched }
+        }
+        _ => matched,
     }
 }
 

@@ -149,6 +149,15 @@ impl Way {
         Rule { key, folder, start: self.numbered.first(), offset, step, images }
     }
 
+    /// Whether `rule` is one for this way.
+    pub(super) fn is_of(&self, rule: &Rule) -> bool {
+        self.named.is_none()
+            && self.key == rule.key
+            && self.folder == rule.folder
+            && self.images == rule.images
+            && self.numbered.first() == rule.start
+    }
+
     /// From the first number to the last.
     pub(super) fn span(&self) -> u64 {
         self.numbered.last() - self.numbered.first()
