@@ -79,14 +79,15 @@ fn numbers_from_1_and_a_camera_s_counter_are_understood() {
         let Some(take) = mini(dir.path(), 60, "colmap-names/openface.csv") else { return };
         let report = find(&take, &model, Numbering::default()).unwrap();
         let truth = places(&colmap::read_model(&model).unwrap(), |n| number(n) - first);
-        assert_eq!(worst(&take, &truth), (0.0, 60), "{name}");
+        let exact = |(off, placed): (f64, usize)| off < 1e-9 && placed == 60;
+        assert!(exact(worst(&take, &truth)), "{name}");
         assert!((report.landmark_error_px.unwrap() - 0.96).abs() < 0.05, "{name}: {:?}", report.landmark_error_px);
         assert!(report.notes.iter().any(|n| n.contains(&format!("counted from {first}"))), "{:?}", report.notes);
         // What is stated counts: the same by a stated first number, and a wrong one does not go through.
         find(&take, &model, Numbering::from_first(first)).unwrap();
         let error = find(&take, &model, Numbering::from_first(first - 1)).unwrap_err();
         assert!(matches!(error, TrackerError::WorsePoses { .. } | TrackerError::PoorPoses { .. }), "{name}: {error}");
-        assert_eq!(worst(&take, &truth), (0.0, 60), "{name}: good poses are kept");
+        assert!(exact(worst(&take, &truth)), "{name}: good poses are kept");
     }
 }
 
@@ -142,7 +143,8 @@ fn pictures_of_a_folder_with_gaps_get_the_cameras_of_their_files() {
     let report = find(&take, &model, Numbering::default()).unwrap();
     let frame_of = |name: &str| numbers.iter().position(|n| *n == number(name)).unwrap() as u32;
     let truth = places(&colmap::read_model(&model).unwrap(), frame_of);
-    assert_eq!(worst(&take, &truth), (0.0, 54));
+    let (off, placed) = worst(&take, &truth);
+    assert!(off < 1e-9 && placed == 54, "{off} {placed}");
     assert_eq!((report.frames_registered, report.frames_interpolated), (54, 0));
     assert!(report.landmark_error_px.unwrap() < 1.3, "{:?}", report.landmark_error_px);
 }

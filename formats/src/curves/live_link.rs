@@ -99,6 +99,7 @@ pub(super) fn parse(bytes: &[u8], options: &CurveOptions, reporter: &dyn Reporte
         curves.head_rotations.push(rotation);
     }
     rate::unroll(&mut codes);
+    rate::without_false_shares(&mut codes);
     let (told, certain) = rate::of_timecodes(&codes);
     let fps = options.fps.unwrap_or(told);
     if options.fps.is_none() && !certain && codes.len() > 1 {

@@ -6,6 +6,8 @@ const USUAL: [f64; 12] = [10.0, 12.0, 15.0, 20.0, 24.0, 25.0, 30.0, 48.0, 50.0, 
 const TIMECODES: [f64; 8] = [24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0];
 /// What a timecode counts at where nothing tells: the rate of Live Link Face.
 const UNKNOWN_TIMECODE: f64 = 60.0;
+/// A step between frames that is longer or shorter by this share of a frame has shares that mean nothing.
+const FALSE_SHARE: f64 = 0.75;
 /// A clock that goes back by more than this has passed midnight.
 const HALF_A_DAY_SECS: f64 = 43_200.0;
 const DAY_SECS: f64 = 86_400.0;
@@ -22,6 +24,15 @@ pub(super) fn unroll(codes: &mut [Code]) {
         }
         before = Some(*secs);
         *secs += days;
+    }
+}
+
+/// Drops the shares of frames where they are none: shares that go round by themselves would let a frame last almost two.
+pub(super) fn without_false_shares(codes: &mut [Code]) {
+    let within = codes.windows(2).filter(|w| w[0][0] == w[1][0] && w[1][1].floor() > w[0][1].floor());
+    let mut off = within.map(|w| (w[1][1] - w[0][1] - (w[1][1].floor() - w[0][1].floor())).abs());
+    if off.any(|off| off > FALSE_SHARE) {
+        codes.iter_mut().for_each(|code| code[1] = code[1].floor());
     }
 }
 
