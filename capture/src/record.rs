@@ -15,8 +15,7 @@ use serde::Serialize;
 use crate::measure::{Pictures, measure_all};
 use crate::media::{self, Media};
 use crate::negotiate::number;
-use crate::timing;
-use crate::{CaptureError, Result};
+use crate::{CaptureError, Result, numbered, timing};
 
 /// What to make a take from, and how.
 #[derive(Clone, Debug, Default)]
@@ -166,6 +165,10 @@ pub fn record_with(
         }
     }
     let Pictures { mut frames, truncation } = pictures;
+    if is_folder {
+        numbered::warn_about_strangers(&options.input, &images, reporter);
+        numbered::spread(&mut frames, &images, info.fps, reporter);
+    }
     if let Some(factor) = slow_motion {
         for frame in &mut frames {
             frame.timestamp_nanos = (frame.timestamp_nanos as f64 / factor).round() as i64;
