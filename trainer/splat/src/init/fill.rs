@@ -1,7 +1,7 @@
 //! Holes of the face closed: smooth skin has no texture that a sweep could match.
 //!
-//! Seeds of the head's front, and the landmarks, make a map of depths over the face's plane. Cells without one that lie between others, in
-//! their row and in their column, take the mean of their neighbours (∇²z = 0) and become seeds.
+//! Seeds of the head's front, and the landmarks, make a map of depths over the face's plane. Cells without one that lie
+//! between others, in their row and in their column, take the mean of their neighbours (∇²z = 0) and become seeds.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;

@@ -1,4 +1,9 @@
 //! Where Gaussians begin: depth maps by plane sweep, AU motion from landmarks, or the face's shape alone.
+//!
+//! ```text
+//! landmarks ─▶ motion, rigid, sway ─▶ head poses, X0 + Σ a B
+//! frames ─▶ choose ─▶ view ─▶ sweep ─▶ fuse, smooth ─▶ surfels ─▶ coverage, shape, fill ─▶ face (labels) ─▶ mouth ─▶ seeds
+//! ```
 
 mod choose;
 mod coverage;
