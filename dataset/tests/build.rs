@@ -11,6 +11,7 @@ use glam::DVec3;
 use risorius_dataset::export::{Target, export};
 use risorius_dataset::verify::verify;
 use risorius_dataset::{BuildOptions, DatasetError, Report, Sampling, TAKE_OFFSET, build};
+use risorius_formats::landmark_table::LandmarkTable;
 use risorius_formats::mask::LabelImage;
 use risorius_formats::nerfies::{self, Dataset};
 use risorius_formats::pose_report::PoseMethod;
@@ -93,6 +94,13 @@ fn a_take_becomes_a_dataset_that_verifies() {
             let p = dataset.cameras[id].project(take.report.landmarks_in_world[k]);
             assert_eq!(labels.get(p.x as u32, p.y as u32), label, "landmark {k}");
         }
+    }
+    // The landmarks of all chosen frames, as they were tracked.
+    let landmarks = LandmarkTable::read(&data).unwrap().unwrap();
+    assert!(landmarks.rows.keys().eq(&dataset.ids));
+    let tracked = take.track.rows[f as usize].landmarks.as_ref().unwrap();
+    for (found, expected) in landmarks.rows[id].points_px.iter().flatten().zip(tracked.points_px.iter().flatten()) {
+        assert!((found - expected).abs() < 0.06, "{found} and {expected}");
     }
     // The polygon file says the same, under the name of the first AU of each group.
     let polygons = nerfies::Polygons::read(nerfies::polygons_path(&data, id)).unwrap();

@@ -1,8 +1,14 @@
 //! Where Gaussians begin: depth maps by plane sweep, AU motion from landmarks, or the face's shape alone.
+//!
+//! ```text
+//! landmarks ─▶ motion, rigid, sway ─▶ head poses, X0 + Σ a B
+//! frames ─▶ choose ─▶ view ─▶ sweep ─▶ fuse, smooth ─▶ surfels ─▶ coverage, shape, fill ─▶ face (labels) ─▶ mouth ─▶ seeds
+//! ```
 
 mod choose;
 mod coverage;
 mod face;
+mod fill;
 mod fuse;
 mod motion;
 mod mouth;
@@ -122,12 +128,14 @@ pub fn start(scene: &Scene<'_>, settings: &StartSettings, say: &dyn Fn(&str)) ->
     let mut seeds = from_stereo(scene, &head_poses, &axes, &settings.stereo);
     let rest = motion.as_ref().map(|m| &m.rest);
     let cover = coverage::of(&seeds, &axes, rest);
+    let spacing = settings.stereo.head_voxel_m * (axes.radius / 0.1);
     if cover < coverage::ENOUGH {
         say("the head's shape, because the views show too little of it");
-        let spacing = settings.stereo.head_voxel_m * (axes.radius / 0.1);
         let shape = shape::seeds(scene, &head_poses, &axes, rest, spacing);
         coverage::complete(&mut seeds, shape, &axes, cover);
     }
+    let patches = fill::seeds(scene, &head_poses, &axes, &seeds, rest, spacing);
+    seeds.extend(patches);
     face::label(scene, &head_poses, &axes, &mut seeds);
     let outside = seeds.len();
     let mouth = motion.as_ref().and_then(|m| mouth::add(m, &axes, &mut seeds));

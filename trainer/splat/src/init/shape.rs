@@ -64,7 +64,7 @@ pub(crate) fn seeds(
 }
 
 /// Calm frames in spread views.
-fn views(scene: &Scene<'_>, head_poses: &[Isometry]) -> Vec<(usize, Isometry)> {
+pub(crate) fn views(scene: &Scene<'_>, head_poses: &[Isometry]) -> Vec<(usize, Isometry)> {
     let poses: Vec<Isometry> =
         scene.frames.iter().zip(head_poses).map(|(f, h)| camera_from_head(&f.camera, h)).collect();
     let sums: Vec<Option<f32>> =
@@ -84,7 +84,7 @@ fn views(scene: &Scene<'_>, head_poses: &[Isometry]) -> Vec<(usize, Isometry)> {
 }
 
 /// The median colour, 0–1, of a point in the views that see it from the front; `None` where none does.
-fn color(scene: &Scene<'_>, views: &[(usize, Isometry)], at: DVec3, normal: DVec3) -> Option<[f32; 3]> {
+pub(crate) fn color(scene: &Scene<'_>, views: &[(usize, Isometry)], at: DVec3, normal: DVec3) -> Option<[f32; 3]> {
     let mut seen: Vec<(f64, [f64; 3])> = Vec::new();
     for (frame, pose) in views {
         let to_camera = (pose.camera_center() - at).normalize_or_zero();
