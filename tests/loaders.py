@@ -8,7 +8,7 @@ run; the command `dataset` is taken from PATH or from the variable DATASET_BIN. 
 with a word; any disagreement ends with status 1. Readers: polars, pandas, DuckDB, pyarrow, pycolmap, Pillow, and the
 dataparser of nerfstudio:
 
-    pip install polars pandas pyarrow duckdb pycolmap pillow numpy nerfstudio
+    python3 -m venv venv && venv/bin/pip install polars pandas pyarrow duckdb pycolmap pillow numpy nerfstudio
 """
 
 import glob
@@ -52,6 +52,14 @@ def camera_of(dataset, frame_id):
         return json.load(file)
 
 
+def take_names(dataset):
+    """The names of the takes, which are texts even where they look like numbers."""
+    import tomllib
+
+    with open(os.path.join(dataset, "takes.toml"), "rb") as file:
+        return {take["name"] for take in tomllib.load(file)["take"]}
+
+
 def tables(dataset, ids):
     """The partitioned tables, as one collection."""
     pattern = os.path.join(dataset, "tables", "aus", "**", "*.parquet")
@@ -61,7 +69,9 @@ def tables(dataset, ids):
         frame = polars.read_parquet(pattern, hive_partitioning=True)
         chosen = frame.filter(polars.col("id").is_not_null())
         check("polars: chosen ids", sorted(chosen["id"].to_list()) == sorted(ids), f"{chosen.height} rows")
-        check("polars: `take` is a column", "take" in frame.columns, str(frame.columns[:4]))
+        check("polars: `take` is a column of texts", frame.schema.get("take") == polars.String, str(frame.columns[:4]))
+        names = take_names(dataset)
+        check("polars: names of takes", set(frame["take"].unique()) == names, str(names))
         attributes = [c for c in frame.columns if c.endswith("_attribute")]
         low = min(chosen[c].min() for c in attributes)
         high = max(chosen[c].max() for c in attributes)
@@ -72,6 +82,10 @@ def tables(dataset, ids):
             f"select count(id), count(distinct take) from read_parquet('{pattern}', hive_partitioning = true)"
         ).fetchone()
         check("DuckDB: chosen ids and takes", count == len(ids) and takes == len(files), f"{count}, {takes}")
+        found = connection.execute(
+            f"select distinct take from read_parquet('{pattern}', hive_partitioning = true)"
+        ).fetchall()
+        check("DuckDB: names of takes", {row[0] for row in found} == take_names(dataset), str(found))
         poses = os.path.join(dataset, "tables", "poses", "**", "*.parquet")
         joined = connection.execute(
             f"select count(*) from read_parquet('{pattern}', hive_partitioning = true) a"
@@ -81,6 +95,7 @@ def tables(dataset, ids):
     if (pandas := reader("pandas")) and reader("pyarrow"):
         frame = pandas.read_parquet(os.path.join(dataset, "tables", "frames"))
         check("pandas: chosen ids", frame["id"].notna().sum() == len(ids), str(len(frame)))
+        check("pandas: names of takes", set(frame["take"]) == take_names(dataset), str(frame["take"].dtype))
         check("pandas: splits", set(frame["split"].dropna()) <= {"train", "val", "none"})
 
 

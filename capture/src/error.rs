@@ -33,6 +33,12 @@ pub enum CaptureError {
         /// The take's folder.
         out: PathBuf,
     },
+    /// A stream that says neither its times nor its rate.
+    #[error("{}: has no times and states no frame rate", path.display())]
+    NoTimes {
+        /// The video.
+        path: PathBuf,
+    },
     /// The camera refused.
     #[error("{device}: cannot {action} the camera: {message}")]
     Camera {
@@ -174,6 +180,7 @@ impl Hint for CaptureError {
             Self::Format(e) => e.hint(),
             Self::Video(e) => e.hint(),
             Self::Exists { .. } => Some(Cow::Borrowed("choose another `--out`, or replace it with `--force`")),
+            Self::NoTimes { .. } => Some(Cow::Borrowed("state its rate with `--fps`, in frames per second")),
             Self::InputInsideOutput { .. } => Some(Cow::Borrowed("choose another `--out`")),
             Self::Refused { refusal, .. } => Some(Cow::Owned(refusal.advice())),
             Self::NoControl { known, .. } if known.is_empty() => Some(Cow::Borrowed("this camera has no controls")),

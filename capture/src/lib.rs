@@ -14,6 +14,7 @@ pub mod live;
 mod measure;
 mod media;
 pub mod negotiate;
+mod numbered;
 mod picture;
 pub mod preview;
 pub mod quality;

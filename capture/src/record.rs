@@ -9,13 +9,13 @@ use risorius_formats::atomic::{AtomicDir, check_replaceable};
 use risorius_formats::frame::{self, FrameRecord};
 use risorius_formats::take::{SourceKind, TAKE_VERSION};
 use risorius_formats::{FormatError, Reporter, TakeManifest, Warning};
-use risorius_video::Reader;
+use risorius_video::{Reader, TimeSource, VideoInfo};
 use serde::Serialize;
 
 use crate::measure::{Pictures, measure_all};
 use crate::media::{self, Media};
-use crate::timing;
-use crate::{CaptureError, Result};
+use crate::negotiate::number;
+use crate::{CaptureError, Result, numbered, timing};
 
 /// What to make a take from, and how.
 #[derive(Clone, Debug, Default)]
@@ -32,8 +32,10 @@ pub struct RecordOptions {
     pub subject: String,
     /// Under which consent it was recorded.
     pub consent: String,
-    /// Frame rate of an image folder; 30 when `None`.
+    /// Frame rate of an image folder (30 when `None`) or of a stream without times, such as raw H.264.
     pub image_fps: Option<f64>,
+    /// Turns the pictures clockwise, beyond what the file asks for: 0, 90, 180 or 270 degrees.
+    pub turn_degrees: u32,
     /// Frames per second at which a slow-motion clip was filmed; its metadata tell when `None`.
     pub true_fps: Option<f64>,
 }
@@ -76,11 +78,15 @@ pub struct Rehearsal {
     pub frame_count_estimate: Option<u64>,
     /// How many times slower than filmed it plays.
     pub slow_motion: Option<f64>,
+    /// How the pictures are coded, such as `yuv420p, BT.709, limited range`; empty for image folders.
+    pub coding: String,
+    /// What the stream is and what is done to its pictures.
+    pub remarks: Vec<String>,
 }
 
 /// Says what [`record`] would make; touches nothing.
 pub fn rehearse(options: &RecordOptions) -> Result<Rehearsal> {
-    let reader = Reader::open_with_fps(&options.input, options.image_fps)?;
+    let reader = open(options)?;
     check_output(options)?;
     let info = reader.info();
     let slow_motion = if reader.is_image_folder() { None } else { slow_motion(info, options.true_fps) };
@@ -91,7 +97,19 @@ pub fn rehearse(options: &RecordOptions) -> Result<Rehearsal> {
         fps: info.fps * slow_motion.unwrap_or(1.0),
         frame_count_estimate: info.frame_count_estimate,
         slow_motion,
+        coding: info.coding.clone(),
+        remarks: info.remarks.iter().map(|r| r.text.clone()).collect(),
     })
+}
+
+/// Opens the input, turned as asked.
+fn open(options: &RecordOptions) -> Result<Reader> {
+    let mut reader = Reader::open_with_fps(&options.input, options.image_fps)?;
+    if reader.info().times == TimeSource::Unknown {
+        return Err(CaptureError::NoTimes { path: options.input.clone() });
+    }
+    reader.turn(options.turn_degrees);
+    Ok(reader)
 }
 
 /// Makes a take from a video file or an image folder; the folder appears whole or not at all.
@@ -106,25 +124,13 @@ pub fn record_with(
     add: impl FnOnce(&Path) -> std::result::Result<(), FormatError>,
 ) -> Result<RecordSummary> {
     let begun = Instant::now();
-    let reader = Reader::open_with_fps(&options.input, options.image_fps)?;
+    let reader = open(options)?;
     check_output(options)?;
     let info = reader.info().clone();
     let is_folder = reader.is_image_folder();
     let images = reader.image_files().to_vec();
-    if !is_folder && options.image_fps.is_some() {
-        reporter.warn(Warning::new(
-            "fps-ignored",
-            format!("{}: the frame rate is for image folders; a video has its own times", options.input.display()),
-        ));
-    }
     let slow_motion = if is_folder { None } else { slow_motion(&info, options.true_fps) };
-    if let Some(factor) = slow_motion {
-        reporter.note(&format!(
-            "slow motion: plays {:.2} frames/s, filmed at {:.2}; the times are those of filming",
-            info.fps,
-            factor * info.fps
-        ));
-    }
+    tell(options, &info, slow_motion, reporter);
     let dir = AtomicDir::create(&options.out)?;
     reporter.stage("reading frames", info.frame_count_estimate);
     let (media, pictures) = std::thread::scope(|scope| {
@@ -141,15 +147,28 @@ pub fn record_with(
         pictures.and_then(|p| media.map(|m| (m, p)))
     })?;
     if let Some(cut) = pictures.truncation {
-        let message = format!(
-            "{}: is truncated: {} of {} frames could be read; the take has these",
-            options.input.display(),
-            cut.read,
-            cut.expected
-        );
-        reporter.warn(Warning::new("truncated-video", message));
+        let name = options.input.display();
+        let lost_later = cut.expected > u64::from(cut.read) + u64::from(cut.lost_at_start);
+        if cut.lost_at_start > 0 {
+            let message = format!(
+                "{name}: begins between two keyframes: the first {} of {} frames cannot be decoded; the take begins after them",
+                cut.lost_at_start, cut.expected
+            );
+            reporter.warn(Warning::new("late-keyframe", message));
+        }
+        if lost_later {
+            let message = format!(
+                "{name}: is truncated: {} of {} frames could be read; the take has these",
+                cut.read, cut.expected
+            );
+            reporter.warn(Warning::new("truncated-video", message));
+        }
     }
     let Pictures { mut frames, truncation } = pictures;
+    if is_folder {
+        numbered::warn_about_strangers(&options.input, &images, reporter);
+        numbered::spread(&mut frames, &images, info.fps, reporter);
+    }
     if let Some(factor) = slow_motion {
         for frame in &mut frames {
             frame.timestamp_nanos = (frame.timestamp_nanos as f64 / factor).round() as i64;
@@ -179,13 +198,57 @@ pub fn record_with(
     })
 }
 
-/// Rates closer than this are not slow motion but rounding.
-const SLOWED: f64 = 1.2;
+/// Says what the file is and what was made of it.
+fn tell(options: &RecordOptions, info: &VideoInfo, slow_motion: Option<f64>, reporter: &dyn Reporter) {
+    let name = options.input.display();
+    for remark in &info.remarks {
+        let text = format!("{name}: {}", remark.text);
+        if remark.is_warning { reporter.warn(Warning::new(remark.code, text)) } else { reporter.note(&text) }
+    }
+    match info.times {
+        TimeSource::Container if options.image_fps.is_some() => reporter.warn(Warning::new(
+            "fps-ignored",
+            format!("{name}: the frame rate is for image folders; a video has its own times"),
+        )),
+        TimeSource::StreamRate => reporter.warn(Warning::new(
+            "no-times",
+            format!(
+                "{name}: has no times, only a rate in its header ({:.2} frames/s), which is taken; `--fps` states another",
+                info.fps
+            ),
+        )),
+        _ => {}
+    }
+    let Some(factor) = slow_motion else { return };
+    let rates = format!(
+        "slow motion: plays {:.2} frames/s, filmed at {:.2}; the times are those of filming",
+        info.peak_fps,
+        factor * info.peak_fps
+    );
+    if options.true_fps.is_none() && factor < SURELY_SLOWED {
+        let text = format!(
+            "{name}: {rates}; a camera that halved its rate in dim light writes the same: if it did, say \
+             `--true-fps {}`",
+            number(info.fps)
+        );
+        reporter.warn(Warning::new("perhaps-slow-motion", text));
+    } else {
+        reporter.note(&rates);
+    }
+}
 
-/// How many times slower than filmed a clip plays: by `true_fps`, or by its metadata. A phone's clip that says 240 and
-/// plays 240 was not slowed.
-fn slow_motion(info: &risorius_video::VideoInfo, true_fps: Option<f64>) -> Option<f64> {
-    let factor = true_fps.or(info.capture_fps.filter(|fps| *fps > SLOWED * info.fps))? / info.fps;
+/// Slow motion is slower than this; no player slows a clip by less than a half.
+const SLOWED: f64 = 1.9;
+/// A camera in dim light halves its rate at most.
+const SURELY_SLOWED: f64 = 2.1;
+
+/// How many times slower than filmed a clip plays: by `true_fps`, or by its metadata against the rate of its shortest usual
+/// interval. A phone's clip that says 240 and plays 240 was not slowed, nor one whose mean rate is lower for dim light.
+fn slow_motion(info: &VideoInfo, true_fps: Option<f64>) -> Option<f64> {
+    let factor = match true_fps {
+        Some(fps) => fps / info.fps,
+        None => Some(info.capture_fps? / info.peak_fps).filter(|f| *f >= SLOWED)?,
+    };
     (factor.is_finite() && factor > 0.0 && (factor - 1.0).abs() > 1e-6).then_some(factor)
 }
 
@@ -208,7 +271,7 @@ fn check_output(options: &RecordOptions) -> Result<()> {
 
 fn manifest(
     options: &RecordOptions,
-    info: &risorius_video::VideoInfo,
+    info: &VideoInfo,
     is_folder: bool,
     fps_asked: f64,
     media: Media,

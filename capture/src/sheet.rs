@@ -32,7 +32,7 @@ pub(crate) fn sheet_png(take: &Take) -> Result<Vec<u8>> {
     let indices: Vec<u32> = (0..count).map(|i| spread(i, count, take.manifest.frame_count)).collect();
     let blurred = blurred_frames(&take.frames);
     let mut sheet = RgbImage::from_pixel(COLUMNS * cell_width, count.div_ceil(COLUMNS) * cell_height, PLAIN);
-    risorius_video::read_frames(take.media_path(), &indices, |index, image| {
+    risorius_video::read_take_frames(take, &indices, |index, image| {
         let place = indices.binary_search(&index).unwrap_or(0) as u32;
         let (x, y) = ((place % COLUMNS) * cell_width, (place / COLUMNS) * cell_height);
         if blurred.contains(&index) {

@@ -84,6 +84,16 @@ pub enum DatasetError {
         /// What the encoder said.
         message: String,
     },
+    /// What was imported is no dataset that could be used; nothing was written.
+    #[error("{}: cannot be imported, {problems} problems; the first: {first}", folder.display())]
+    Unverified {
+        /// The folder that was to be imported.
+        folder: PathBuf,
+        /// How many problems `dataset verify` finds.
+        problems: usize,
+        /// The first of them.
+        first: String,
+    },
     /// The user asked to stop.
     #[error("stopped; nothing was written")]
     Cancelled,
@@ -112,6 +122,13 @@ impl Hint for DatasetError {
                 Some("the video is shorter than frames.csv says; make the take again with `capture record`".into())
             }
             Self::Picture { .. } => Some("it is missing, damaged or of another kind; see `dataset verify`".into()),
+            Self::Unverified { folder, .. } => Some(
+                format!(
+                    "nothing was written; `dataset verify {}` lists what to correct in the folder",
+                    folder.display()
+                )
+                .into(),
+            ),
             Self::Encode { .. } | Self::Cancelled => None,
         }
     }

@@ -118,7 +118,7 @@ fn write_take(
         for _ in 0..workers {
             scope.spawn(work);
         }
-        let outcome = risorius_video::read_frames(&media, &wanted, |index, image| {
+        let outcome = risorius_video::read_take_frames(&input.take, &wanted, |index, image| {
             if reporter.cancelled() || failed.load(Ordering::Relaxed) {
                 return Err(DatasetError::Cancelled);
             }

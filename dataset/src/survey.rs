@@ -77,7 +77,7 @@ fn one_dataset(dir: &Path, survey: &mut Survey) -> Result<Surveyed> {
         }
         let names: Vec<String> = table.attributes.iter().map(|a| format!("{}_intensity", a.unit)).collect();
         let columns: Vec<&str> = std::iter::once("id").chain(names.iter().map(String::as_str)).collect();
-        let file = TableFile::open_columns(&tables::table_path(dir, "aus", &take.name), &columns)?;
+        let file = TableFile::open_columns(&tables::existing_table(dir, "aus", &take.name), &columns)?;
         let chosen: Vec<bool> = file.texts("id")?.iter().map(Option::is_some).collect();
         one.trusted += chosen.len();
         one.chosen += chosen.iter().filter(|c| **c).count();

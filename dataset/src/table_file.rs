@@ -4,12 +4,12 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
-use polars::prelude::{DataFrame, ParquetReader, SerReader, Series};
+use polars::prelude::{Column, DataFrame, ParquetReader, SerReader, Series};
 use risorius_formats::camera::Distortion;
 use risorius_formats::{Camera, ErrorKind, FormatError, Intrinsics, Isometry};
 
 use crate::error::{DatasetError, Result};
-use crate::tables::CAMERA_COLUMNS;
+use crate::tables::{CAMERA_COLUMNS, column};
 
 fn not_parquet(path: &Path, error: &polars::error::PolarsError) -> FormatError {
     let message = error.to_string();
@@ -88,6 +88,15 @@ impl TableFile {
 
     pub(crate) fn texts(&self, name: &str) -> Result<Vec<Option<String>>> {
         self.column(name, |s| Ok(s.str()?.iter().map(|t| t.map(str::to_owned)).collect()))
+    }
+
+    /// The columns of the table, with others of one text each in front; those of the same names go.
+    pub(crate) fn with_texts(self, names: &[(&str, &str)]) -> Vec<Column> {
+        let rows = self.height();
+        let mut columns: Vec<Column> = names.iter().map(|(name, text)| column(name, vec![*text; rows])).collect();
+        let own = self.frame.into_columns();
+        columns.extend(own.into_iter().filter(|c| names.iter().all(|(name, _)| c.name().as_str() != *name)));
+        columns
     }
 
     /// An error about the table.

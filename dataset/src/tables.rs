@@ -2,12 +2,13 @@
 //! one dataset or a whole collection without this program:
 //!
 //! ```text
-//! DIR/tables/frames/take=NAME/frames.parquet    all frames: state, quality, id and split where chosen
-//! DIR/tables/aus/take=NAME/aus.parquet          trusted frames: AUxx_intensity (0–5, smoothed), AUxx_attribute (−1..1)
-//! DIR/tables/poses/take=NAME/poses.parquet      posed frames: lens, camera_from_world, yaw and pitch from the head
+//! DIR/tables/frames/take_dir=take-NAME/frames.parquet    all frames: state, quality, id and split where chosen
+//! DIR/tables/aus/take_dir=take-NAME/aus.parquet          trusted frames: AUxx_intensity (0–5, smoothed), AUxx_attribute
+//! DIR/tables/poses/take_dir=take-NAME/poses.parquet      posed frames: lens, camera_from_world, yaw and pitch
 //! ```
 //!
-//! `take` is a Hive partition: readers make a column of it. Names are percent-encoded as those readers expect.
+//! The column `take` in every file is the take's name, as text. The folders are Hive partitions whose values no reader takes
+//! for numbers or dates: of `take=001` polars and pandas make the number 1. Names are percent-encoded.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -26,7 +27,24 @@ pub const TABLES: [&str; 3] = ["frames", "aus", "poses"];
 
 /// The file of `table` for a take of the dataset in `dir`.
 pub fn table_path(dir: &Path, table: &str, take: &str) -> PathBuf {
-    dir.join("tables").join(table).join(format!("take={}", encoded(take))).join(format!("{table}.parquet"))
+    dir.join("tables").join(table).join(partition("take", take)).join(format!("{table}.parquet"))
+}
+
+/// The file of `table` to read: datasets of version 0.1 have it in `take=NAME`.
+pub(crate) fn existing_table(dir: &Path, table: &str, take: &str) -> PathBuf {
+    let path = table_path(dir, table, take);
+    let older = dir.join("tables").join(table).join(format!("take={}", encoded(take))).join(format!("{table}.parquet"));
+    if !path.is_file() && older.is_file() { older } else { path }
+}
+
+/// The folder of a Hive partition that holds what belongs to one `kind` (take, subject), `name`.
+pub(crate) fn partition(kind: &str, name: &str) -> String {
+    format!("{kind}_dir={kind}-{}", encoded(name))
+}
+
+/// Writes the table in `from` to `to`, with the columns `names` of one text each in front.
+pub(crate) fn copy_table(from: &Path, to: &Path, names: &[(&str, &str)]) -> Result<()> {
+    write_table(to, TableFile::open(from)?.with_texts(names))
 }
 
 /// A name as a folder of a Hive partition: everything but letters, digits, `.`, `_` and `-` as `%XX`.
@@ -73,9 +91,15 @@ where
     series.into()
 }
 
+/// The take's name in every row.
+fn take_column(take: &TakeRows, rows: usize) -> Column {
+    column("take", vec![take.name.as_str(); rows])
+}
+
 fn frames_table(take: &TakeRows) -> Vec<Column> {
     let f = &take.frames;
     vec![
+        take_column(take, f.len()),
         column("frame", f.iter().map(|r| r.frame).collect::<Vec<_>>()),
         column("timestamp_nanos", f.iter().map(|r| r.timestamp_nanos).collect::<Vec<_>>()),
         column("state", f.iter().map(|r| r.state.name()).collect::<Vec<_>>()),
@@ -93,6 +117,7 @@ fn aus_table(take: &TakeRows, table: &AttributeTable) -> Vec<Column> {
     let trusted: Vec<(&FrameRow, &[f32])> =
         take.frames.iter().filter_map(|f| Some((f, f.intensities.as_deref()?))).collect();
     let mut columns = vec![
+        take_column(take, trusted.len()),
         column("frame", trusted.iter().map(|t| t.0.frame).collect::<Vec<_>>()),
         column("id", trusted.iter().map(|t| t.0.id.clone()).collect::<Vec<_>>()),
     ];
@@ -148,6 +173,7 @@ fn poses_table(take: &TakeRows) -> Vec<Column> {
     let posed: Vec<(&FrameRow, &Camera)> = take.frames.iter().filter_map(|f| Some((f, f.camera.as_ref()?))).collect();
     let angle = |axis: usize| posed.iter().map(|p| p.0.view.map(|v| v[axis])).collect::<Vec<Option<f64>>>();
     let mut columns = vec![
+        take_column(take, posed.len()),
         column("frame", posed.iter().map(|p| p.0.frame).collect::<Vec<_>>()),
         column("id", posed.iter().map(|p| p.0.id.clone()).collect::<Vec<_>>()),
         column("yaw_deg", angle(0)),
@@ -178,7 +204,7 @@ pub(crate) fn read_takes(dir: &Path, table: &AttributeTable, names: Vec<String>)
 }
 
 fn read_take(dir: &Path, name: String, table: &AttributeTable) -> Result<TakeRows> {
-    let file = TableFile::open(&table_path(dir, "frames", &name))?;
+    let file = TableFile::open(&existing_table(dir, "frames", &name))?;
     let frames = file.u32s("frame")?;
     let times = file.i64s("timestamp_nanos")?;
     let (states, ids, splits, masks) =
@@ -218,7 +244,7 @@ fn read_take(dir: &Path, name: String, table: &AttributeTable) -> Result<TakeRow
             .ok_or_else(|| file.bad("has a frame that the table of frames lacks"))
     };
 
-    let file = TableFile::open(&table_path(dir, "aus", &name))?;
+    let file = TableFile::open(&existing_table(dir, "aus", &name))?;
     let columns: Vec<Vec<Option<f32>>> =
         table.attributes.iter().map(|a| file.f32s(&format!("{}_intensity", a.unit))).collect::<Result<_>>()?;
     for (i, frame) in file.u32s("frame")?.into_iter().enumerate() {
@@ -227,7 +253,7 @@ fn read_take(dir: &Path, name: String, table: &AttributeTable) -> Result<TakeRow
         rows[row].intensities = Some(values.ok_or_else(|| file.bad(format!("row {}: an AU is no number", i + 1)))?);
     }
 
-    let file = TableFile::open(&table_path(dir, "poses", &name))?;
+    let file = TableFile::open(&existing_table(dir, "poses", &name))?;
     let (yaws, pitches, interpolated) = (file.f64s("yaw_deg")?, file.f64s("pitch_deg")?, file.bools("interpolated")?);
     let cameras = file.cameras()?;
     for (i, frame) in file.u32s("frame")?.into_iter().enumerate() {
@@ -291,7 +317,10 @@ mod tests {
         table.write(dir.path().join("attributes.toml")).unwrap();
         let entry = crate::provenance::TakeEntry { name: "a take=1".to_owned(), ..Default::default() };
         Provenance { takes: vec![entry] }.write(dir.path()).unwrap();
-        assert!(dir.path().join("tables/aus/take=a%20take%3D1/aus.parquet").is_file());
+        assert!(dir.path().join("tables/aus/take_dir=take-a%20take%3D1/aus.parquet").is_file());
+
+        let names = TableFile::open(&table_path(dir.path(), "frames", "a take=1")).unwrap().texts("take").unwrap();
+        assert_eq!(names, vec![Some("a take=1".to_owned()); 2]);
 
         let mut back = read(dir.path()).unwrap();
         let camera = back.takes[0].frames[1].camera.unwrap();
@@ -301,6 +330,14 @@ mod tests {
         back.takes[0].frames[1].camera = Some(original);
         assert_eq!(back, rows);
 
+        // Datasets of version 0.1 are read as well.
+        for table in TABLES {
+            let folder = dir.path().join("tables").join(table);
+            std::fs::rename(folder.join("take_dir=take-a%20take%3D1"), folder.join("take=a%20take%3D1")).unwrap();
+        }
+        assert_eq!(read(dir.path()).unwrap().takes[0].frames.len(), 2);
+
+        std::fs::create_dir_all(table_path(dir.path(), "aus", "a take=1").parent().unwrap()).unwrap();
         std::fs::write(table_path(dir.path(), "aus", "a take=1"), b"PAR1").unwrap();
         let error = read(dir.path()).unwrap_err().to_string();
         assert!(error.contains("aus.parquet: is not a Parquet table"), "{error}");

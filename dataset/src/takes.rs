@@ -152,11 +152,11 @@ pub(crate) fn common_scale(inputs: &[TakeInput], units: &[ActionUnit], reporter:
         );
         return Err(FormatError::new(ErrorKind::Inconsistent, message)
             .in_file(path)
-            .with_hint("AU intensities are 0–5: multiply a 0–1 table by 5 before `tracker import`")
+            .with_hint("AU intensities are 0–5: import a 0–1 table with `tracker import TAKE --openface FILE.csv --au-scale 1`")
             .into());
     }
     let message = format!(
-        "take `{}`: no AU exceeds {:.2} of 5; a 0–1 table has to be multiplied by 5 before it is imported",
+        "take `{}`: no AU exceeds {:.2} of 5; a 0–1 table is imported with `tracker import TAKE --openface FILE.csv --au-scale 1`",
         inputs[small].name, largest[small]
     );
     reporter.warn(Warning::new("small-intensities", message));

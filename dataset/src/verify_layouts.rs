@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use risorius_formats::{Camera, package};
 
 use crate::export::{FRAMES_FILE, IMAGES_DIR, SPARSE_DIR, TRANSFORMS_FILE};
-use crate::import::{Layout, id_of, layout_cameras, read_transforms};
+use crate::import::{Layout, Transforms, layout_cameras, read_transforms};
 use crate::table_file::TableFile;
 use crate::verify::{Verdict, check_picture};
 
@@ -57,26 +57,21 @@ pub(crate) fn check(dir: &Path, layout: Layout, verdict: &mut Verdict) {
 /// The pictures that `transforms.json` names; its splits may name no others.
 fn transforms_paths(dir: &Path, verdict: &mut Verdict) -> BTreeMap<String, String> {
     let path = dir.join(TRANSFORMS_FILE);
-    let Ok(file) = read_transforms(&path) else { return BTreeMap::new() };
-    let named: BTreeSet<&String> = file.frames.iter().map(|f| &f.file_path).collect();
-    if named.len() < file.frames.len() {
+    let Ok(Transforms { pictures, train, val, test }) = read_transforms(&path) else { return BTreeMap::new() };
+    let named: BTreeSet<&String> = pictures.iter().map(|p| &p.path).collect();
+    if named.len() < pictures.len() {
         verdict.add(&path, "a picture stands there twice");
     }
-    for (key, list) in [
-        ("train_filenames", &file.train_filenames),
-        ("val_filenames", &file.val_filenames),
-        ("test_filenames", &file.test_filenames),
-    ] {
+    for (key, list) in [("train_filenames", &train), ("val_filenames", &val), ("test_filenames", &test)] {
         if let Some(stranger) = list.iter().find(|name| !named.contains(name)) {
             verdict.add(&path, format!("`{key}` names `{stranger}`, which is not among `frames`"));
         }
     }
-    let train: BTreeSet<&String> = file.train_filenames.iter().collect();
-    if let Some(both) = file.val_filenames.iter().find(|name| train.contains(name)) {
+    let train: BTreeSet<&String> = train.iter().collect();
+    if let Some(both) = val.iter().find(|name| train.contains(name)) {
         verdict.add(&path, format!("`{both}` is for fitting and held out"));
     }
-    let pair = |f: &crate::export::TransformsFrame| Some((id_of(&f.file_path)?, f.file_path.clone()));
-    file.frames.iter().filter_map(pair).collect()
+    pictures.into_iter().map(|p| (p.id, p.file.to_string_lossy().into_owned())).collect()
 }
 
 fn check_pictures(

@@ -130,7 +130,7 @@ fn a_take_named_twice_is_refused_and_namesakes_get_a_number() {
     common::take().write(&other);
     let report = build(&[bench.takes[0].clone(), other], &bench.out(), &options(), &Silent).unwrap();
     assert_eq!([&report.takes[0].name, &report.takes[1].name], ["take0", "take0-2"]);
-    assert!(bench.out().join("tables/aus/take=take0-2/aus.parquet").is_file());
+    assert!(bench.out().join("tables/aus/take_dir=take-take0-2/aus.parquet").is_file());
 }
 
 #[test]

@@ -103,27 +103,6 @@ impl From<ActionUnit> for String {
     }
 }
 
-/// What the numbers of a table mean.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum AuScale {
-    /// FACS intensity, 0 (absent) to 5 (E).
-    #[default]
-    Intensity0To5,
-    /// A probability or activation, 0 to 1.
-    Unit0To1,
-}
-
-impl AuScale {
-    /// The value on the 0–5 scale.
-    pub fn to_intensity(self, value: f32) -> f32 {
-        match self {
-            Self::Intensity0To5 => value,
-            Self::Unit0To1 => value * MAX_INTENSITY,
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -74,6 +74,13 @@ impl FormatError {
         self
     }
 
+    /// Replaces the line.
+    #[must_use]
+    pub(crate) fn moved_to_line(mut self, line: u64) -> Self {
+        self.line = Some(line);
+        self
+    }
+
     /// Adds the column's name or number.
     #[must_use]
     pub fn in_column(mut self, column: impl Into<String>) -> Self {

@@ -45,7 +45,7 @@ pub struct TakeManifest {
     pub width: u32,
     /// Upright height, pixels.
     pub height: u32,
-    /// Clockwise rotation that the container asks for and that was applied, degrees.
+    /// Clockwise rotation that was applied, degrees: the container's, and what `capture record --rotate` added.
     pub rotation_degrees: u32,
     /// The frame rate that was asked for or that the container states.
     pub fps_asked: Option<f64>,

@@ -163,8 +163,9 @@ fn takes_become_a_corpus_that_engines_read() {
             assert_eq!((&done["subject"], &done["files"]), (&Value::from("ada"), &Value::from(4)));
         }
     }
-    let place =
-        |table: &str, take: &str| corpus.join(format!("tables/{table}/subject=ada/take={take}/{table}.parquet"));
+    let place = |table: &str, take: &str| {
+        corpus.join(format!("tables/{table}/subject_dir=subject-ada/take_dir=take-{take}/{table}.parquet"))
+    };
     assert!(place("aus", "take1").is_file() && place("datasets", "take2").is_file());
     assert!(!place("fits", "take1").exists());
     let stats = json(&succeed("dataset", &["stats", text(&corpus), "--json", "-q"]));
@@ -241,7 +242,7 @@ fn the_workflow_goes_on_past_a_bad_take() {
     assert_eq!(outcome["failed"][0]["take"], "ada/2");
     assert!(outcome["failed"][0]["error"].as_str().unwrap().contains("openface.csv: is not a video"), "{outcome}");
     assert!(corpus.join("transfers/ada+1.mp4").is_file() && corpus.join("report/index.html").is_file());
-    assert!(corpus.join("tables/metrics/subject=ada/take=1/metrics.parquet").is_file());
+    assert!(corpus.join("tables/metrics/subject_dir=subject-ada/take_dir=take-1/metrics.parquet").is_file());
     let journal = || std::fs::read_to_string(corpus.join("state/ada+1/journal.jsonl")).unwrap();
     let before = journal();
     corpus_of(&[]);

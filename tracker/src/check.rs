@@ -12,7 +12,7 @@ use serde::Serialize;
 use crate::error::{Result, TrackerError};
 use crate::import::MIN_CONFIDENCE;
 use crate::poses::model::{self, TakeModel};
-use crate::poses::read_track;
+use crate::poses::{Numbering, read_track};
 use crate::quality::{self, TrackQuality};
 use crate::se3::rotation_angle;
 
@@ -21,8 +21,8 @@ use crate::se3::rotation_angle;
 pub struct Reference {
     /// A COLMAP model.
     pub dir: PathBuf,
-    /// The number of the take's first frame in its image names.
-    pub first: u32,
+    /// What is known of the numbers in its image names.
+    pub numbering: Numbering,
 }
 
 /// Everything that `tracker check` tells.
@@ -91,13 +91,15 @@ pub fn check(
     reporter: &dyn Reporter,
 ) -> Result<CheckReport> {
     let take = Take::open(take_dir)?;
-    let track = quality::measure(&read_track(&take)?, take.frames.len(), MIN_CONFIDENCE);
+    let rows = read_track(&take)?;
+    let track = quality::measure(&rows, take.frames.len(), MIN_CONFIDENCE);
     let path = take.pose_report_path();
     let poses = if path.is_file() || reference.is_some() { Some(PoseReport::read(&path)?) } else { None };
     let reference = match (reference, &poses) {
         (Some(reference), Some(report)) => {
             let own = model::load(take.sparse_dir(), &take, 0, reporter)?.model;
-            let other = model::load(&reference.dir, &take, reference.first, reporter)?.model.poses();
+            let rows = Some((&rows, MIN_CONFIDENCE));
+            let other = model::load_foreign(&reference.dir, &take, rows, &reference.numbering, reporter)?.model.poses();
             Some(compare(&own, &other, report).ok_or_else(|| TrackerError::NothingInCommon {
                 dir: reference.dir.clone(),
                 common: own.frames.keys().filter(|f| other.contains_key(f)).count(),

@@ -84,6 +84,26 @@ pub enum TrackerError {
         /// Frames of the take.
         frames: usize,
     },
+    /// A folder that the model does not have.
+    #[error("{dir}: none of its images lies in the folder `{folder}`", dir = dir.display())]
+    NoModelFolder {
+        /// The model.
+        dir: PathBuf,
+        /// What was asked for.
+        folder: String,
+        /// The folders that there are.
+        folders: String,
+    },
+    /// A lens that datasets cannot hold.
+    #[error("{dir}: its camera {camera} has the lens model {model} with k4 to k6, which datasets cannot hold", dir = dir.display())]
+    LensModel {
+        /// The model.
+        dir: PathBuf,
+        /// Id of the camera.
+        camera: u32,
+        /// COLMAP's name of the lens model.
+        model: String,
+    },
     /// A model of pictures of another shape.
     #[error("{dir}: its camera {camera} is {width}×{height} pixels, but the take is {take_width}×{take_height}", dir = dir.display())]
     CameraSize {
@@ -160,6 +180,14 @@ pub enum TrackerError {
         /// What to do about it.
         advice: String,
     },
+    /// Poses that are worse than those the take has.
+    #[error("{path}: the take has better poses: {difference}", path = path.display())]
+    WorsePoses {
+        /// The report of the poses that are there.
+        path: PathBuf,
+        /// In what they are better.
+        difference: String,
+    },
     /// The landmarks' rays are nearly parallel: no depth.
     #[error("the cameras hardly move around the face: only {good} of 68 landmarks can be triangulated")]
     TooLittleParallax {
@@ -232,11 +260,15 @@ impl Hint for TrackerError {
                 "is it the table of another video? `--first-frame N` says which number the first frame has in it".into()
             }
             Self::NoValidFrame { .. } => "look at the `confidence` column; `--min-confidence` lowers the gate".into(),
-            Self::NoTrack { .. } => "import a table first: `tracker import TAKE --openface FILE.csv`".into(),
+            Self::NoTrack { .. } => "track the video with `tracker run TAKE`, or import a table with `tracker import TAKE --openface FILE.csv`".into(),
             Self::TrackLacks { hint, .. } => (*hint).into(),
             Self::NoModel { .. } => "give the folder with cameras, images and points3D as .txt or .bin".into(),
             Self::NoModelFrame { .. } => {
-                "images are matched by the digits of their names; `--colmap-first 1` if the first frame is number 1".into()
+                "is it the model of another video? `--colmap-first N` states the number of the take's first frame, `--colmap-step N` the frames from one number to the next".into()
+            }
+            Self::NoModelFolder { folders, .. } => format!("its folders are {folders}").into(),
+            Self::LensModel { .. } => {
+                "run COLMAP with `--ImageReader.camera_model OPENCV`, which holds k1, k2, p1 and p2".into()
             }
             Self::CameraSize { width, height, take_width, take_height, .. } => {
                 let turned = (*width > *height) != (*take_width > *take_height);
@@ -247,7 +279,7 @@ impl Hint for TrackerError {
                 }
             }
             Self::ColmapMissing { .. } => {
-                "install it (`apt install colmap`, or `pip install pycolmap` and `--colmap python3`), name it with `--colmap PATH`, or give a finished model with `--colmap-model DIR`"
+                "install it (`apt-get update && apt-get install colmap`), or its Python package (`apt-get install python3-venv`, `python3 -m venv venv`, `venv/bin/pip install pycolmap`, then `--colmap venv/bin/python`), name it with `--colmap PATH`, or give a finished model with `--colmap-model DIR`"
                     .into()
             }
             Self::ColmapFailed { log, .. } => format!("the whole output is in {}", log.display()).into(),
@@ -267,6 +299,9 @@ impl Hint for TrackerError {
                     .into()
             }
             Self::PoorPoses { advice, .. } => format!("{advice}; `--accept-poor` takes them as they are").into(),
+            Self::WorsePoses { .. } => {
+                "nothing was changed; `--accept-poor` replaces them".into()
+            }
             Self::TooLittleParallax { .. } => "for a still camera and a moving head use `--method head`".into(),
             Self::NoRuntime { .. } | Self::Runtime { .. } => format!(
                 "{FETCH}; `{LIBRARY_VARIABLE}` names a library of your own, version 1.24 or later"

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use risorius_formats::atomic::AtomicDir;
 use risorius_formats::openface::{self, FaceChoice, ReadOptions};
-use risorius_formats::{FrameIndex, Reporter, Take, Track, TrackRow, Warning};
+use risorius_formats::{FrameIndex, Reporter, TableScale, Take, Track, TrackRow, Warning};
 use serde::Serialize;
 
 use crate::error::{Result, TrackerError};
@@ -28,6 +28,8 @@ pub struct ImportOptions {
     pub face: FaceChoice,
     /// Rows below this confidence count as lost, 0–1.
     pub min_confidence: f32,
+    /// The scale of the table's AU values; `None` lets the values tell.
+    pub scale: Option<TableScale>,
 }
 
 impl ImportOptions {
@@ -38,6 +40,7 @@ impl ImportOptions {
             first_frame: None,
             face: FaceChoice::default(),
             min_confidence: MIN_CONFIDENCE,
+            scale: None,
         }
     }
 }
@@ -62,7 +65,7 @@ pub struct ImportSummary {
 /// Reads the table, joins it with the take and writes `TAKE/track/`.
 pub fn import(take_dir: impl AsRef<Path>, options: &ImportOptions, reporter: &dyn Reporter) -> Result<ImportSummary> {
     let take = Take::open(take_dir)?;
-    let read = ReadOptions { first_frame: options.first_frame, face: options.face };
+    let read = ReadOptions { first_frame: options.first_frame, face: options.face, scale: options.scale };
     reporter.stage("read the table", None);
     let table = openface::read(&options.openface, &read, reporter)?;
     let rows = table.rows.len();

@@ -48,7 +48,7 @@ pub fn draw(take_dir: impl AsRef<Path>, out: &Path, reporter: &dyn Reporter) -> 
     }
     let fps = if take.fps() > 0.0 { take.fps() } else { 30.0 };
     let mut writer = Writer::create(out, take.manifest.width, take.manifest.height, fps)?;
-    let mut reader = Reader::open(take.media_path())?;
+    let mut reader = Reader::open_take(&take)?;
     reporter.stage("draw", Some(rows.len() as u64));
     let mut drawn = 0;
     for row in rows {

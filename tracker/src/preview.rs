@@ -45,7 +45,7 @@ pub fn draw(take_dir: impl AsRef<Path>, out: &Path, count: usize, reporter: &dyn
         reporter.advance(1);
         Ok(())
     };
-    risorius_video::read_frames(take.media_path(), &chosen, drawn)?;
+    risorius_video::read_take_frames(&take, &chosen, drawn)?;
     Ok(chosen)
 }
 

@@ -12,7 +12,7 @@ use risorius_tracker::check::{self, Reference};
 use risorius_tracker::import::{ImportOptions, import};
 use risorius_tracker::poses::colmap::ColmapOptions;
 use risorius_tracker::poses::head::{HeadOptions, SMOOTH_SECS};
-use risorius_tracker::poses::{self, PosesOptions, Source, interpolate::MAX_GAP_SECS};
+use risorius_tracker::poses::{self, Numbering, PosesOptions, Source, interpolate::MAX_GAP_SECS};
 use testing::take_at;
 
 #[path = "../src/testing.rs"]
@@ -59,9 +59,9 @@ fn key_frames_and_landmarks_place_every_frame_of_ada() {
     let keys = dir.path().join("keys");
     fs::create_dir(&keys).unwrap();
     colmap::write_text(&keys, &model).unwrap();
-    let truth = Reference { dir: ada.join("truth_colmap"), first: 0 };
+    let truth = Reference { dir: ada.join("truth_colmap"), numbering: Numbering::default() };
     let errors = |correct| {
-        let source = Source::Model { dir: keys.clone(), first: 0 };
+        let source = Source::Model { dir: keys.clone(), numbering: Numbering::default() };
         let report = poses::find(&take, &options(source, correct), &Collected::default()).unwrap();
         // The last key frame is 2370; nothing is extrapolated.
         assert_eq!((report.frames_registered, report.frames_interpolated), (80, 2371 - 80));
@@ -79,7 +79,7 @@ fn ada_with_video(dir: &std::path::Path) -> Option<(PathBuf, Reference)> {
     let take = take_at(dir, 540, 960, 2400, 120.0);
     std::os::unix::fs::symlink(ada.join("video.mp4"), take.join("video.mp4")).unwrap();
     import(&take, &ImportOptions::new(ada.join("openface.csv")), &Collected::default()).unwrap();
-    Some((take, Reference { dir: ada.join("truth_colmap"), first: 0 }))
+    Some((take, Reference { dir: ada.join("truth_colmap"), numbering: Numbering::default() }))
 }
 
 #[test]
@@ -124,7 +124,7 @@ fn the_head_route_beats_the_tables_own_poses_on_ada() {
     let dir = tempfile::tempdir().unwrap();
     let take = take_at(dir.path(), 540, 960, 2400, 120.0);
     import(&take, &ImportOptions::new(ada.join("openface.csv")), &Collected::default()).unwrap();
-    let truth = Reference { dir: ada.join("truth_colmap"), first: 0 };
+    let truth = Reference { dir: ada.join("truth_colmap"), numbering: Numbering::default() };
     let errors = |refine| {
         poses::find(&take, &options(Source::Head(head_options(refine)), true), &Collected::default()).unwrap();
         check::check(&take, Some(&truth), &Collected::default()).unwrap().reference.unwrap().all

@@ -42,7 +42,7 @@ pub enum Level {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Verdict {
     /// What it is about: `media`, `length`, `rate`, `dropped`, `repeated`, `jitter`, `sharpness`,
-    /// `motion-blur`, `exposure`, `flicker`, `orbit`.
+    /// `motion-blur`, `exposure`, `flicker`, `upright`, `orbit`.
     pub topic: &'static str,
     /// How serious it is.
     pub level: Level,

@@ -25,6 +25,9 @@ pub struct Orbit {
     pub pitch_range_degrees: f64,
     /// Middles of the 10° views between the ends that were not held, degrees.
     pub missing_views_degrees: Vec<f64>,
+    /// How far the face leans clockwise, by its eyes, degrees; near ±90 or 180 the clip lies on its side or stands on its
+    /// head. `None` for tables without landmarks.
+    pub roll_degrees: Option<f64>,
 }
 
 /// The orbit of a take that was tracked; `None` for one that was not.
@@ -42,7 +45,22 @@ pub(super) fn orbit(take: &Take) -> Result<Option<Orbit>> {
         .map(|p| (p.rotation_rad.y.to_degrees(), p.rotation_rad.x.to_degrees()))
         .filter(|(yaw, pitch)| yaw.is_finite() && pitch.is_finite())
         .collect();
-    Ok(coverage(&poses, take.frames.len(), take.fps()))
+    let eyes = track.rows.iter().filter(|r| r.is_valid(LEAST_CONFIDENCE)).filter_map(|r| r.landmarks.as_ref());
+    let roll_degrees = roll(eyes.map(|l| (l.points_px[OUTER_EYES.0], l.points_px[OUTER_EYES.1])));
+    Ok(coverage(&poses, take.frames.len(), take.fps()).map(|o| Orbit { roll_degrees, ..o }))
+}
+
+/// The outer corners of the eyes among the 68 landmarks: the person's right one is left in the picture.
+const OUTER_EYES: (usize, usize) = (36, 45);
+
+/// The mean direction from one outer corner to the other, clockwise from the picture's right, degrees.
+fn roll(eyes: impl Iterator<Item = ([f32; 2], [f32; 2])>) -> Option<f64> {
+    let sum = eyes.fold((0.0, 0.0), |(x, y), (a, b)| {
+        let (dx, dy) = (f64::from(b[0] - a[0]), f64::from(b[1] - a[1]));
+        let length = dx.hypot(dy).max(1e-9);
+        (x + dx / length, y + dy / length)
+    });
+    (sum != (0.0, 0.0)).then(|| sum.1.atan2(sum.0).to_degrees())
 }
 
 /// The coverage by (yaw, pitch) in degrees of the frames in which a head was found.
@@ -59,6 +77,7 @@ fn coverage(poses: &[(f64, f64)], frames: usize, fps: f64) -> Option<Orbit> {
         yaw_range_degrees: right - left,
         pitch_range_degrees: down - up,
         missing_views_degrees: missing.collect(),
+        roll_degrees: None,
     })
 }
 
@@ -78,5 +97,14 @@ mod tests {
         assert_eq!(orbit.missing_views_degrees, [20.0]);
         assert!((orbit.tracked_share - 0.875).abs() < 0.01);
         assert_eq!(coverage(&[], 10, 100.0), None);
+    }
+
+    #[test]
+    fn a_face_on_its_side_has_its_eyes_above_each_other() {
+        let eyes = |dx: f32, dy: f32| std::iter::once(([100.0, 100.0], [100.0 + dx, 100.0 + dy]));
+        assert!(roll(eyes(80.0, 4.0)).unwrap().abs() < 5.0);
+        assert!((roll(eyes(2.0, 80.0)).unwrap() - 90.0).abs() < 5.0);
+        assert!((roll(eyes(0.0, -80.0)).unwrap() + 90.0).abs() < 5.0);
+        assert_eq!(roll(std::iter::empty()), None);
     }
 }

@@ -40,7 +40,7 @@ pub(super) fn all(r: &CheckReport, frames: &[FrameRecord], from_images: bool) ->
     let pictures = [sharp(r, frames), motion_blur(r)];
     let mut out: Vec<Verdict> = times.into_iter().chain(pictures).flatten().collect();
     out.extend(exposure(r));
-    out.extend(flicker(r).into_iter().chain(orbit(r)));
+    out.extend(flicker(r).into_iter().chain(upright(r)).chain(orbit(r)));
     out
 }
 
@@ -71,6 +71,17 @@ fn flicker(r: &CheckReport) -> Option<Verdict> {
     let text =
         format!("the brightness pulses {:.1} times a second by {:.1} levels", found.frequency_hz, found.amplitude);
     Some(verdict("flicker", level, format!("{text}: {advice}")))
+}
+
+/// Only said where the face does not stand upright.
+fn upright(r: &CheckReport) -> Option<Verdict> {
+    let roll = r.orbit.as_ref()?.roll_degrees?;
+    // Clockwise quarter turns that the face is away from upright.
+    let quarters = (roll / 90.0).round() as i64;
+    let back = 90 * (-quarters).rem_euclid(4);
+    let lies = if back == 180 { "stands on its head" } else { "lies on its side" };
+    let text = format!("the face {lies}: record it again with `--rotate {back}`");
+    (back != 0).then(|| verdict("upright", Level::Poor, text))
 }
 
 fn orbit(r: &CheckReport) -> Option<Verdict> {

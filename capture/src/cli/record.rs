@@ -13,7 +13,8 @@ use crate::record::{RecordOptions, RecordSummary, record_with, rehearse};
 #[derive(Args, Debug)]
 #[command(
     after_help = "Examples:\n  capture record --device /dev/video0 --size 1280x720 --fps 120 --script au --out takes/face\n  \
-    capture record --input face.mp4 --out takes/face --subject Ada\n  capture record --input frames/ --fps 120 --out takes/face\n\n\
+    capture record --input face.mp4 --out takes/face --subject Ada\n  capture record --input frames/ --fps 120 --out takes/face\n  \
+    capture record --input sideways.mp4 --rotate 90 --out takes/face\n\n\
     A recording ends with --duration, with the script, or with Ctrl-C; it can be played however it ends, and\n\
     `capture recover` makes a take of what was killed.\n\
     A frame counts as dropped where the time since the one before exceeds 1.5 times what is usual around it.\n\
@@ -38,12 +39,15 @@ pub(super) struct RecordArgs {
     /// Under which consent it was recorded.
     #[arg(long, value_name = "TEXT")]
     pub(super) consent: Option<String>,
-    /// Frames per second: of a camera [default: its highest], or of an image folder [default: 30].
+    /// Frames per second: of a camera [default: its highest], of an image folder [default: 30], or of a stream without times.
     #[arg(long, value_name = "N", value_parser = parse_fps)]
     pub(super) fps: Option<f64>,
     /// Frames per second at which a slow-motion clip was filmed, if its metadata do not tell.
     #[arg(long, value_name = "N", value_parser = parse_fps, conflicts_with = "device")]
     true_fps: Option<f64>,
+    /// Turn the pictures clockwise, where a clip lies on its side although its file says nothing.
+    #[arg(long, value_name = "DEGREES", value_parser = parse_turn, conflicts_with = "device")]
+    rotate: Option<u32>,
     #[command(flatten)]
     again: AgainArgs,
     /// Say what would be recorded, and record nothing.
@@ -73,6 +77,13 @@ fn parse_fps(text: &str) -> Result<f64, String> {
     }
 }
 
+fn parse_turn(text: &str) -> Result<u32, String> {
+    match text.parse() {
+        Ok(degrees @ (0 | 90 | 180 | 270)) => Ok(degrees),
+        _ => Err("expected 90, 180 or 270".to_owned()),
+    }
+}
+
 pub(super) fn run(args: &RecordArgs, console: &Console) -> Result<(), Failure> {
     let settings: Settings = settings("capture")?;
     let input = match (&args.input, &args.device) {
@@ -91,17 +102,20 @@ pub(super) fn run(args: &RecordArgs, console: &Console) -> Result<(), Failure> {
         consent: args.consent.clone().or(settings.consent).unwrap_or_default(),
         image_fps: args.fps.or(settings_fps),
         true_fps: args.true_fps,
+        turn_degrees: args.rotate.unwrap_or(0),
     };
     if args.dry_run {
         let planned = rehearse(&options)?;
         let count = planned.frame_count_estimate.map_or_else(|| "?".to_owned(), |n| n.to_string());
         let text = format!(
-            "would make {} of {}: {count} frames, {}×{}, {:.2} frames/s",
+            "would make {} of {}: {count} frames, {}×{}, {:.2} frames/s{}{}",
             options.out.display(),
             options.input.display(),
             planned.width,
             planned.height,
-            planned.fps
+            planned.fps,
+            if planned.coding.is_empty() { String::new() } else { format!(", {}", planned.coding) },
+            planned.remarks.iter().fold(String::new(), |text, remark| text + "\n  " + remark)
         );
         console.finish(&planned, &text);
         return Ok(());
@@ -112,6 +126,7 @@ pub(super) fn run(args: &RecordArgs, console: &Console) -> Result<(), Failure> {
         "consent": options.consent,
         "image_fps": options.image_fps,
         "true_fps": options.true_fps,
+        "rotate": options.turn_degrees,
     });
     let stage = Stage::new("capture record", &options.out, &asked)?;
     // Of a folder, the pictures in it and nothing below it.

@@ -123,7 +123,7 @@ fn manifest(recording: &Recording, frames: &[FrameRecord], media_sha256: String)
 /// Fills in the quality columns of a take by decoding its video once; the tables are replaced whole, at the end.
 pub fn measure_take(dir: &Path, reporter: &dyn Reporter) -> Result<Take> {
     let mut take = Take::open(dir)?;
-    let reader = Reader::open(take.media_path())?;
+    let reader = Reader::open_take(&take)?;
     reporter.stage("measuring the frames", Some(take.frames.len() as u64));
     let measured = measure::measure_all(reader, reporter)?.frames;
     if measured.len() != take.frames.len() {

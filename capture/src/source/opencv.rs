@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use risorius_video::Camera as OpenCvCamera;
+use risorius_video::OpenCvCamera;
 
 use super::{FrameSource, Grab, Grabbed, Mode, PixelFormat, Rate, Rates, Started};
 use crate::negotiate::{COMMON_SIZES, Choice};

@@ -3,8 +3,9 @@
 use std::fs;
 use std::path::Path;
 
+use polars::prelude::Column;
 use risorius_formats::pose_report::json_error;
-use risorius_formats::{ErrorKind, FormatError, Reporter, Warning, atomic};
+use risorius_formats::{ErrorKind, FormatError, Reporter, Warning};
 use serde::Serialize;
 
 use super::numbers::{self, Number};
@@ -72,13 +73,17 @@ pub fn collect(dir: &Path, corpus: &Path, entry: &Entry<'_>, reporter: &dyn Repo
     for take in &provenance.takes {
         let name = entry.take.unwrap_or(&take.name);
         let path = |table: &str| table_path(corpus, table, subject, name);
+        let who = [("subject", subject), ("take", name)];
+        let named = |columns: Vec<Column>| -> Vec<Column> {
+            let rows = columns.first().map_or(0, Column::len);
+            who.iter().map(|(key, text)| column(key, vec![*text; rows])).chain(columns).collect()
+        };
         for table in TABLES {
-            let from = tables::table_path(dir, table, &take.name);
-            let bytes = fs::read(&from).map_err(|e| FormatError::io(&from, "read", &e))?;
-            atomic::write_file(path(table), &bytes)?;
+            let from = tables::existing_table(dir, table, &take.name);
+            tables::copy_table(&from, &path(table), &who)?;
             collected.files += 1;
         }
-        write_table(&path("datasets"), dataset_row(&report, &take.name, entry.number))?;
+        write_table(&path("datasets"), named(dataset_row(&report, &take.name, entry.number)))?;
         collected.files += 1;
         for table in ["fits", "metrics"] {
             let columns = match (table, entry.run) {
@@ -88,7 +93,7 @@ pub fn collect(dir: &Path, corpus: &Path, entry: &Entry<'_>, reporter: &dyn Repo
             };
             match columns {
                 Some(columns) => {
-                    write_table(&path(table), columns)?;
+                    write_table(&path(table), named(columns))?;
                     collected.files += 1;
                 }
                 None => remove(&path(table))?,
@@ -123,7 +128,7 @@ fn read_report(dir: &Path) -> Result<Report> {
     Ok(serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(&path))?)
 }
 
-fn dataset_row(report: &Report, take: &str, number: u32) -> Vec<polars::prelude::Column> {
+fn dataset_row(report: &Report, take: &str, number: u32) -> Vec<Column> {
     let of = report.takes.iter().find(|t| t.name == take);
     let count = |n: fn(&crate::stats::TakeReport) -> u32| of.map(n);
     let one = |name: &str, value: usize| column(name, vec![value as u32]);
@@ -146,7 +151,7 @@ fn dataset_row(report: &Report, take: &str, number: u32) -> Vec<polars::prelude:
     ]
 }
 
-fn metric_rows(numbers: &[Number]) -> Vec<polars::prelude::Column> {
+fn metric_rows(numbers: &[Number]) -> Vec<Column> {
     let texts = |pick: fn(&Number) -> Option<&String>| numbers.iter().map(|n| pick(n).cloned()).collect::<Vec<_>>();
     vec![
         column("view", texts(|n| n.view.as_ref())),

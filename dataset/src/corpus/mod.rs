@@ -2,11 +2,13 @@
 //! as they read any Hive-partitioned Parquet.
 //!
 //! ```text
-//! CORPUS/tables/TABLE/subject=NAME/take=NAME/TABLE.parquet
+//! CORPUS/tables/TABLE/subject_dir=subject-NAME/take_dir=take-NAME/TABLE.parquet
 //!   frames, aus, poses   a row per frame, as in the dataset's own tables (see `tables`)
 //!   datasets, fits       a row per take: what was chosen; how the fit went
 //!   metrics              a row per number that `trainer eval` found: kind of view, part, AU, metric, value
 //! ```
+//!
+//! Every table has the columns `subject` and `take`, as text (see [`tables`](crate::tables)).
 //!
 //! [`collect()`] files one dataset, [`summarise`] reads the whole, one file in memory at a time.
 
@@ -19,7 +21,7 @@ use std::path::{Path, PathBuf};
 pub use collect::{Collected, Entry, collect};
 pub use summary::{Agreement, AuCount, CorpusSummary, SubjectCount, TakeScore, summarise};
 
-use crate::tables::encoded;
+use crate::tables::partition;
 
 /// The tables of a corpus.
 pub const CORPUS_TABLES: [&str; 6] = ["frames", "aus", "poses", "datasets", "fits", "metrics"];
@@ -27,10 +29,7 @@ pub const CORPUS_TABLES: [&str; 6] = ["frames", "aus", "poses", "datasets", "fit
 /// The file of `table` for a take of a subject.
 pub fn table_path(corpus: &Path, table: &str, subject: &str, take: &str) -> PathBuf {
     let folder = corpus.join("tables").join(table);
-    folder
-        .join(format!("subject={}", encoded(subject)))
-        .join(format!("take={}", encoded(take)))
-        .join(format!("{table}.parquet"))
+    folder.join(partition("subject", subject)).join(partition("take", take)).join(format!("{table}.parquet"))
 }
 
 /// Whether a folder holds a corpus.
@@ -38,13 +37,14 @@ pub fn is_corpus(dir: &Path) -> bool {
     partitions(&dir.join("tables").join("datasets"), "subject").next().is_some()
 }
 
-/// The folders `key=VALUE` in `dir` with their values, by name.
-fn partitions(dir: &Path, key: &str) -> impl Iterator<Item = (String, PathBuf)> + use<> {
+/// The folders of partitions in `dir` with their names, by name.
+fn partitions(dir: &Path, kind: &str) -> impl Iterator<Item = (String, PathBuf)> + use<> {
+    let start = partition(kind, "");
     let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
     let mut found: Vec<(String, PathBuf)> = entries
         .filter_map(|entry| {
             let name = entry.file_name().to_string_lossy().into_owned();
-            let value = name.strip_prefix(key)?.strip_prefix('=')?;
+            let value = name.strip_prefix(&start)?;
             Some((decoded(value), entry.path()))
         })
         .collect();
@@ -70,6 +70,7 @@ fn decoded(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tables::encoded;
 
     #[test]
     fn names_survive_as_folders() {
@@ -79,6 +80,6 @@ mod tests {
         assert_eq!(decoded("50%"), "50%");
         assert_eq!(decoded("%zz%4"), "%zz%4");
         let path = table_path(Path::new("c"), "aus", "a b", "1");
-        assert_eq!(path, Path::new("c/tables/aus/subject=a%20b/take=1/aus.parquet"));
+        assert_eq!(path, Path::new("c/tables/aus/subject_dir=subject-a%20b/take_dir=take-1/aus.parquet"));
     }
 }

@@ -35,7 +35,7 @@ pub(super) fn markdown(dataset: &Dataset, provenance: &Provenance, scale: u32) -
         "\nThe pictures show a person. Use them only as the consent allows, and do not try to find out who it is.\n\n## Files\n\n\
          - `frames.parquet`: a row per chosen frame: `id`, `take`, `frame`, `split`, `has_masks`, `AUxx_attribute` (-1 to 1), `AUxx_intensity` (0 to 5; null where the AU does not move), `image`, the lens in pixels of the full-size picture, `camera_from_world` as quaternion and translation (OpenCV axes).\n\
          - `images/<id>.png`\n\
-         - `tables/{frames,aus,poses}/take=NAME/`: every recorded frame, chosen or not, partitioned by take.\n\n\
+         - `tables/{frames,aus,poses}/take_dir=take-NAME/`: every recorded frame, chosen or not, a folder per take; the column `take` is its name.\n\n\
          ```python\nimport polars as pl\nframes = pl.read_parquet(\"frames.parquet\")\naus = pl.read_parquet(\"tables/aus/**/*.parquet\", hive_partitioning=True)\n```\n\n## Attributes\n\n",
     );
     let _ = writeln!(text, "{}", dataset.mapping.join(", "));

@@ -27,7 +27,7 @@ pub(crate) use parquet::copy_tables;
 pub use sidecar::SIDECAR_DIR;
 pub use transforms::{TRANSFORMS_FILE, opengl_world_from_camera};
 
-pub(crate) use transforms::{TransformsFile, TransformsFrame};
+pub(crate) use transforms::FLIP;
 
 /// A layout to export to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -29,10 +29,13 @@ pub(super) fn write(dataset: &Dataset, dir: &Path, out: &Path, reporter: &dyn Re
 pub(crate) fn copy_tables(dir: &Path, out: &Path, provenance: &Provenance) -> Result<()> {
     for table in TABLES {
         for take in &provenance.takes {
-            let (from, to) = (tables::table_path(dir, table, &take.name), tables::table_path(out, table, &take.name));
-            if from.is_file() {
+            let (from, to) =
+                (tables::existing_table(dir, table, &take.name), tables::table_path(out, table, &take.name));
+            if from == tables::table_path(dir, table, &take.name) && from.is_file() {
                 to.parent().map_or(Ok(()), make)?;
                 copy(&from, &to)?;
+            } else if from.is_file() {
+                tables::copy_table(&from, &to, &[("take", &take.name)])?;
             }
         }
     }

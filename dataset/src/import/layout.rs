@@ -4,12 +4,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use risorius_formats::nerfies::{self, Dataset};
-use risorius_formats::pose_report::json_error;
 use risorius_formats::{Camera, ErrorKind, FormatError, colmap};
 
-use super::{Picture, refused};
+use super::{Picture, read_transforms, refused};
 use crate::error::Result;
-use crate::export::{FRAMES_FILE, IMAGES_DIR, SPARSE_DIR, TRANSFORMS_FILE, TransformsFile, scales_in};
+use crate::export::{FRAMES_FILE, IMAGES_DIR, SPARSE_DIR, TRANSFORMS_FILE, scales_in};
 use crate::table_file::TableFile;
 
 /// A layout that can be opened.
@@ -74,12 +73,6 @@ pub(crate) fn cameras(dir: &Path, layout: Layout) -> Result<BTreeMap<String, Cam
     }
 }
 
-/// Reads `transforms.json`.
-pub(crate) fn read_transforms(path: &Path) -> Result<TransformsFile> {
-    let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, "read", &e))?;
-    serde_json::from_slice(&bytes).map_err(|e| json_error(&e).in_file(path).into())
-}
-
 /// The id of a picture's path: its name without folder and ending.
 pub(crate) fn id_of(path: &str) -> Option<String> {
     let stem = Path::new(path).file_stem()?.to_str()?.to_owned();
@@ -87,17 +80,8 @@ pub(crate) fn id_of(path: &str) -> Option<String> {
 }
 
 fn transforms_cameras(dir: &Path) -> Result<BTreeMap<String, Camera>> {
-    let path = dir.join(TRANSFORMS_FILE);
-    let mut cameras = BTreeMap::new();
-    for frame in read_transforms(&path)?.frames {
-        let bad = |message: &str| {
-            FormatError::new(ErrorKind::Inconsistent, format!("frame `{}`: {message}", frame.file_path)).in_file(&path)
-        };
-        let id = id_of(&frame.file_path).ok_or_else(|| bad("is no file name"))?;
-        let camera = frame.camera().ok_or_else(|| bad("its lens or matrix is no camera"))?;
-        cameras.insert(id, camera);
-    }
-    Ok(cameras)
+    let pictures = read_transforms(&dir.join(TRANSFORMS_FILE))?.pictures;
+    Ok(pictures.into_iter().map(|p| (p.id, p.camera)).collect())
 }
 
 fn colmap_cameras(dir: &Path) -> Result<BTreeMap<String, Camera>> {

@@ -7,6 +7,7 @@
 
 mod foreign;
 mod layout;
+mod transforms;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -28,10 +29,12 @@ use crate::rows::{FrameRow, FrameState, Rows, TakeRows};
 use crate::signals::TrackCounts;
 use crate::split::SplitKind;
 use crate::stats::{self, Report, TakeReport};
+use crate::verify::verify;
 use crate::{TAKE_OFFSET, redact, report, sheet, tables, views};
 
 pub use layout::{Layout, layout_of};
-pub(crate) use layout::{cameras as layout_cameras, id_of, read_transforms};
+pub(crate) use layout::{cameras as layout_cameras, id_of};
+pub(crate) use transforms::{Transforms, read_transforms};
 
 /// How to import.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -82,8 +85,21 @@ pub fn import(from: &Path, out: &Path, options: &ImportOptions, reporter: &dyn R
     if reporter.cancelled() {
         return Err(DatasetError::Cancelled);
     }
+    check_result(from, staging.path(), reporter)?;
     staging.commit()?;
     Ok(report)
+}
+
+/// Fails where what was written is no dataset that a fit could open.
+fn check_result(from: &Path, staging: &Path, reporter: &dyn Reporter) -> Result<()> {
+    let verdict = verify(staging, reporter);
+    let Some(first) = verdict.problems.first() else { return Ok(()) };
+    let path = first.path.strip_prefix(staging).unwrap_or(&first.path).display();
+    Err(DatasetError::Unverified {
+        folder: from.to_owned(),
+        problems: verdict.problems.len(),
+        first: format!("{path}: {}", first.message),
+    })
 }
 
 /// Fails where a file that would be copied leads out of the folder: what it links to was never given.
@@ -126,7 +142,7 @@ fn own(from: &Path, layout: Layout, sidecar: &Path) -> Result<Imported> {
 /// The tables of an export, as far as they are those of the dataset.
 fn own_rows(from: &Path, dataset: &Dataset, table: &AttributeTable, provenance: &Provenance) -> Result<Option<Rows>> {
     let names: Vec<String> = provenance.takes.iter().map(|t| t.name.clone()).collect();
-    if names.is_empty() || !tables::table_path(from, "frames", &names[0]).is_file() {
+    if names.is_empty() || !tables::existing_table(from, "frames", &names[0]).is_file() {
         return Ok(None);
     }
     let rows = tables::read_takes(from, table, names)?;

@@ -140,7 +140,7 @@ pub fn parse_cameras_binary(bytes: &[u8]) -> Result<BTreeMap<u32, ModelCamera>> 
             cursor.position = model_start;
             return Err(cursor
                 .fail(ErrorKind::Unsupported, &format!("`{model_id}` is no known camera model"))
-                .with_hint("write the model as text with `colmap model_converter --output_type TXT`"));
+                .with_hint("write the model as text with `colmap model_converter --input_path DIR --output_path DIR --output_type TXT`"));
         };
         let (width, height) = (cursor.u64("an image width")?, cursor.u64("an image height")?);
         let params = (0..model.param_count).map(|_| cursor.f64("a camera parameter")).collect::<Result<_>>()?;

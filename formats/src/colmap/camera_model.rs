@@ -94,7 +94,7 @@ impl ModelCamera {
                     format!("camera model `{name}` has no OpenCV perspective intrinsics"),
                 )
                 .with_hint(
-                    "undistort the images first with `colmap image_undistorter`, or run COLMAP with `--ImageReader.camera_model OPENCV`",
+                    "run COLMAP with `--ImageReader.camera_model OPENCV`, or undistort the pictures with `colmap image_undistorter` and make the take of those",
                 ));
             }
         };

@@ -8,11 +8,13 @@ mod camera_model;
 mod text;
 
 use std::collections::BTreeMap;
+use std::fs::Metadata;
 use std::path::Path;
+use std::time::SystemTime;
 
 use glam::DVec3;
 
-use crate::{ErrorKind, FormatError, Isometry, Result, atomic};
+use crate::{ErrorKind, FormatError, Isometry, Reporter, Result, Silent, Warning, atomic};
 
 pub use binary::{
     cameras_to_binary, images_to_binary, parse_cameras_binary, parse_images_binary, parse_points_binary,
@@ -114,27 +116,64 @@ fn parse_file<T>(path: &Path, parse: impl FnOnce(&[u8]) -> Result<T>) -> Result<
     parse(&bytes).map_err(|e| e.in_file(path))
 }
 
-/// Reads the model in `dir`, text or binary, whichever is there; text where both are.
+/// Reads the model in `dir`, text or binary, whichever is there; of two the newer one.
 pub fn read_model(dir: impl AsRef<Path>) -> Result<Model> {
+    read_model_reporting(dir, &Silent)
+}
+
+/// As [`read_model`]; a warning says which of two models in one folder was read.
+pub fn read_model_reporting(dir: impl AsRef<Path>, reporter: &dyn Reporter) -> Result<Model> {
     let dir = dir.as_ref();
     std::fs::read_dir(dir).map_err(|e| FormatError::io(dir, "open the folder", &e))?;
-    let model = if dir.join("cameras.txt").exists() {
-        Model {
-            cameras: parse_file(&dir.join("cameras.txt"), parse_cameras_text)?,
-            images: parse_file(&dir.join("images.txt"), parse_images_text)?,
-            points: parse_file(&dir.join("points3D.txt"), parse_points_text)?,
+    let model = match (newest(dir, "txt"), newest(dir, "bin")) {
+        (None, None) => return Err(no_model(dir)),
+        (Some(_), None) => read_text(dir)?,
+        (None, Some(_)) => read_binary(dir)?,
+        (Some(text), Some(binary)) => {
+            let (model, read, other) =
+                if binary > text { (read_binary(dir)?, "bin", "txt") } else { (read_text(dir)?, "txt", "bin") };
+            let age = if binary == text { "as old" } else { "older" };
+            let message = format!(
+                "{}: holds two models; read `images.{read}` with {} images, `images.{other}` is {age}",
+                dir.display(),
+                model.images.len()
+            );
+            reporter.warn(Warning::new("two-models", message));
+            model
         }
-    } else if dir.join("cameras.bin").exists() {
-        Model {
-            cameras: parse_file(&dir.join("cameras.bin"), parse_cameras_binary)?,
-            images: parse_file(&dir.join("images.bin"), parse_images_binary)?,
-            points: parse_file(&dir.join("points3D.bin"), parse_points_binary)?,
-        }
-    } else {
-        return Err(no_model(dir));
     };
     model.check().map_err(|e| e.in_file(dir))?;
     Ok(model)
+}
+
+fn read_text(dir: &Path) -> Result<Model> {
+    Ok(Model {
+        cameras: parse_file(&dir.join("cameras.txt"), parse_cameras_text)?,
+        images: parse_file(&dir.join("images.txt"), parse_images_text)?,
+        points: parse_file(&dir.join("points3D.txt"), parse_points_text)?,
+    })
+}
+
+fn read_binary(dir: &Path) -> Result<Model> {
+    Ok(Model {
+        cameras: parse_file(&dir.join("cameras.bin"), parse_cameras_binary)?,
+        images: parse_file(&dir.join("images.bin"), parse_images_binary)?,
+        points: parse_file(&dir.join("points3D.bin"), parse_points_binary)?,
+    })
+}
+
+/// When cameras or images of a model with this ending were last written; `None` where either is missing and the model of
+/// the other ending is not.
+fn newest(dir: &Path, ending: &str) -> Option<SystemTime> {
+    let time = |name: &str, ending: &str| {
+        let file = std::fs::metadata(dir.join(format!("{name}.{ending}"))).ok().filter(Metadata::is_file)?;
+        Some(file.modified().unwrap_or(SystemTime::UNIX_EPOCH))
+    };
+    let other = if ending == "txt" { "bin" } else { "txt" };
+    let is_whole = |ending: &str| time("cameras", ending).is_some() && time("images", ending).is_some();
+    let found = time("cameras", ending).max(time("images", ending));
+    // A part of a model is only read where there is no whole one: then the error names what is missing.
+    if is_whole(ending) || (!is_whole(other) && time("cameras", ending).is_some()) { found } else { None }
 }
 
 /// The error for a folder without a model; it points at the usual place of one further down.

@@ -1,14 +1,14 @@
-//! Recordings of Live Link Face (`MySlate_*.csv`): ARKit's coefficients 0–1 under their names, timecode at 60 or 30 per
-//! second.
+//! Recordings of Live Link Face (`MySlate_*.csv`): ARKit's coefficients 0–1 under their names, and a timecode whose rate
+//! follows from its numbers (see `rate`).
 //!
 //! An AU is the mean of its coefficients, times 5. ARKit's coefficients are shapes, not FACS intensities: the range of a
 //! person's own recording says more about it than the numbers (see `trainer transfer --range driver`).
 
 use glam::DMat3;
 
-use super::{CurveSource, Curves};
+use super::{CurveOptions, CurveSource, Curves, rate};
 use crate::error::shown;
-use crate::{ActionUnit, FormatError, Result};
+use crate::{ActionUnit, FormatError, Reporter, Result, Warning};
 
 /// The coefficients of each AU (both sides where there are two).
 pub(super) const ARKIT: [(u8, &[&str]); 17] = [
@@ -31,9 +31,6 @@ pub(super) const ARKIT: [(u8, &[&str]); 17] = [
     (45, &["EyeBlinkLeft", "EyeBlinkRight"]),
 ];
 
-/// Frames per second of a timecode: the app's own rate, and the one that it can be set to.
-const TIMECODE_FPS: [f64; 2] = [60.0, 30.0];
-
 /// `camera_from_head` in OpenFace's axes (x to the right of the picture, y down, z away from the camera) of the app's angles,
 /// radians.
 ///
@@ -44,7 +41,7 @@ fn camera_from_head([yaw, pitch, roll]: [f64; 3]) -> DMat3 {
     DMat3::from_rotation_y(-yaw) * DMat3::from_rotation_x(-pitch) * DMat3::from_rotation_z(-roll)
 }
 
-pub(super) fn parse(bytes: &[u8]) -> Result<Curves> {
+pub(super) fn parse(bytes: &[u8], options: &CurveOptions, reporter: &dyn Reporter) -> Result<Curves> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).flexible(true).from_reader(bytes);
     let header = reader.headers().map_err(|e| FormatError::syntax(e.to_string()))?.clone();
     let column = |name: &str| header.iter().position(|n| n.eq_ignore_ascii_case(name));
@@ -101,17 +98,19 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Curves> {
         curves.rows.push(row);
         curves.head_rotations.push(rotation);
     }
-    let fps = fps_of(&codes);
+    rate::unroll(&mut codes);
+    rate::without_false_shares(&mut codes);
+    let (told, certain) = rate::of_timecodes(&codes);
+    let fps = options.fps.unwrap_or(told);
+    if options.fps.is_none() && !certain && codes.len() > 1 {
+        let message = format!(
+            "the timecodes end within a second, so nothing tells their rate: {fps} a second assumed; `--curves-fps` states it"
+        );
+        reporter.warn(Warning::new("assumed-rate", message));
+    }
     let first = codes.first().copied().unwrap_or_default();
     curves.times_secs = codes.iter().map(|[secs, frame]| secs - first[0] + (frame - first[1]) / fps).collect();
     curves.checked()
-}
-
-/// Frames per second of a table's timecode: no frame of a whole second reaches 30 where it counts 30 of them.
-fn fps_of(codes: &[[f64; 2]]) -> f64 {
-    let [usual, slow] = TIMECODE_FPS;
-    let a_second = codes.first().zip(codes.last()).is_some_and(|(a, b)| b[0] - a[0] >= 2.0);
-    if a_second && codes.iter().all(|[_, frame]| *frame < slow) { slow } else { usual }
 }
 
 /// `hh:mm:ss:ff.fff` as whole seconds and frames.
@@ -134,9 +133,23 @@ mod tests {
         [&[header], rows].concat().join("\n").into_bytes()
     }
 
+    fn read(bytes: &[u8]) -> Result<Curves> {
+        parse(bytes, &CurveOptions::default(), &crate::Silent)
+    }
+
+    #[test]
+    fn a_stated_rate_counts_and_midnight_is_passed() {
+        let rows = ["23:59:59:23.0,61,0,,,", "00:00:00:00.0,61,0,,,", "00:00:00:01.0,61,0,,,"];
+        let told = read(&table(&rows)).unwrap().times_secs;
+        assert!((told[2] - 2.0 / 24.0).abs() < 1e-9, "{told:?}");
+        let options = CurveOptions { fps: Some(48.0), ..CurveOptions::default() };
+        let stated = parse(&table(&rows), &options, &crate::Silent).unwrap().times_secs;
+        assert!((stated[2] - stated[1] - 1.0 / 48.0).abs() < 1e-9, "{stated:?}");
+    }
+
     #[test]
     fn angles_turn_the_head_the_way_the_phone_means() {
-        let curves = parse(&table(&[
+        let curves = read(&table(&[
             "10:00:00:00.0,61,0,0,0,0",
             "10:00:00:01.0,61,0,0.3,0,0",
             "10:00:00:02.0,61,0,0,0.3,0",
@@ -159,7 +172,7 @@ mod tests {
 
     #[test]
     fn timecode_counts_sixty_or_thirty_to_a_second() {
-        let secs = |rows: &[&str]| parse(&table(rows)).unwrap().times_secs;
+        let secs = |rows: &[&str]| read(&table(rows)).unwrap().times_secs;
         let fast = secs(&["10:00:00:58.5,61,0,,,", "10:00:00:59.5,61,0,,,", "10:00:01:00.5,61,0,,,"]);
         assert!((fast[2] - 2.0 / 60.0).abs() < 1e-9, "{fast:?}");
         let rows: Vec<String> = (0..75).map(|i| format!("10:00:{:02}:{:02}.25,61,0,,,", i / 30, i % 30)).collect();

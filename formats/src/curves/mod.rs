@@ -1,10 +1,13 @@
 //! AU curves: intensities over time, whatever wrote them: a tracker, a phone, an animator's table.
 //!
 //! Three sorts of CSV are told apart by their header: OpenFace tables of every version, Live Link Face recordings (ARKit
-//! names), and plain tables with a time column and one column per AU.
+//! names), and tables with a time column and one column per AU (Py-Feat, LibreFace, or written by hand). Separators, scale
+//! and rate follow from the data, or are stated ([`CurveOptions`]).
 
+mod columns;
 mod live_link;
 mod plain;
+mod rate;
 
 use std::path::Path;
 
@@ -12,7 +15,7 @@ use glam::DMat3;
 use serde::Serialize;
 
 use crate::openface::{self, ReadOptions};
-use crate::{ActionUnit, ErrorKind, FormatError, Reporter, Result, Track};
+use crate::{ActionUnit, ErrorKind, FormatError, Reporter, Result, TableScale, Track, Warning, dialect};
 
 /// Times beyond a year are damage.
 const LATEST_SECS: f64 = 366.0 * 86_400.0;
@@ -29,6 +32,15 @@ pub enum CurveSource {
     LiveLinkFace,
     /// A time column and AU columns.
     Plain,
+}
+
+/// What is stated about a table; `None` lets the data tell.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CurveOptions {
+    /// Frames per second of timecodes and frame numbers.
+    pub fps: Option<f64>,
+    /// The scale of the AU values; Live Link Face's coefficients are always 0–1.
+    pub scale: Option<TableScale>,
 }
 
 /// Intensities of AUs over time.
@@ -49,26 +61,47 @@ pub struct Curves {
 impl Curves {
     /// Reads a table, whichever of the three sorts it is.
     pub fn read(path: impl AsRef<Path>, reporter: &dyn Reporter) -> Result<Self> {
+        Self::read_with(path, &CurveOptions::default(), reporter)
+    }
+
+    /// As [`Self::read`], with what is stated about the table.
+    pub fn read_with(path: impl AsRef<Path>, options: &CurveOptions, reporter: &dyn Reporter) -> Result<Self> {
         let path = path.as_ref();
         let bytes = std::fs::read(path).map_err(|e| FormatError::io(path, "read", &e))?;
-        Self::parse(&bytes, reporter).map_err(|e| e.in_file(path))
+        Self::parse_with(&bytes, options, reporter).map_err(|e| e.in_file(path))
     }
 
     /// Parses a table, whichever of the three sorts it is.
     pub fn parse(bytes: &[u8], reporter: &dyn Reporter) -> Result<Self> {
+        Self::parse_with(bytes, &CurveOptions::default(), reporter)
+    }
+
+    /// As [`Self::parse`], with what is stated about the table.
+    pub fn parse_with(bytes: &[u8], options: &CurveOptions, reporter: &dyn Reporter) -> Result<Self> {
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         if bytes.trim_ascii().is_empty() {
             return Err(FormatError::new(ErrorKind::Empty, "the table is empty"));
         }
+        let (converted, what) = dialect::with_commas(bytes);
+        if let Some(what) = what {
+            reporter.warn(Warning::new("other-separators", format!("{what}; both were converted")));
+        }
+        let bytes = &*converted;
         let header = String::from_utf8_lossy(bytes.split(|&b| b == b'\n').next().unwrap_or_default()).into_owned();
         let names: Vec<&str> = header.split(',').map(str::trim).collect();
         let has = |name: &str| names.iter().any(|n| n.eq_ignore_ascii_case(name));
         if has("Timecode") && has("BlendShapeCount") {
-            live_link::parse(bytes)
+            live_link::parse(bytes, options, reporter)
         } else if names.iter().any(|n| n.starts_with("AU") && n.ends_with("_r")) && has("confidence") {
-            Ok(Self::from_track(&openface::parse(bytes, &ReadOptions::default(), reporter)?, 0.0))
+            let read = ReadOptions { scale: options.scale, ..ReadOptions::default() };
+            let mut curves = Self::from_track(&openface::parse(bytes, &read, reporter)?, 0.0);
+            if let Some(fps) = options.fps {
+                let step = curves.fps() / fps;
+                curves.times_secs.iter_mut().for_each(|t| *t *= step);
+            }
+            Ok(curves)
         } else {
-            plain::parse(bytes)
+            plain::parse(bytes, options, reporter)
         }
     }
 

@@ -108,12 +108,6 @@ pub(super) const EXPECTED: &str = "the table should be one that OpenFace's Featu
 
 fn missing(name: &str, names: &[String]) -> FormatError {
     let error = FormatError::new(ErrorKind::Missing, format!("there is no column `{name}`"));
-    if let [only] = names
-        && let Some(separator) = [';', '\t'].into_iter().find(|&c| only.contains(c))
-    {
-        let separator = if separator == ';' { "semicolons" } else { "tabs" };
-        return error.with_hint(format!("the columns are separated by {separator}; save the table with commas"));
-    }
     // A name is worth showing when it is clean and at least half of its letters agree.
     let clean = |n: &&String| (1..40).contains(&n.len()) && n.bytes().all(|b| b.is_ascii_graphic() || b == b' ');
     let near = names.iter().filter(clean).map(|n| (distance(name, n), n)).min();

@@ -4,6 +4,8 @@
 //! `frame`) and tables with other tools' columns all read. Pixels and frame numbers are converted (see the crate's
 //! conventions). What cannot be trusted is `None`: everything in rows with `success` 0, and cells that hold no number.
 //!
+//! Separators, decimal commas and other scales are converted (see `dialect`, `table_scale`), or refused where they cannot be.
+//!
 //! Recovered with a warning: a last row that is cut off (left out), intensities below 0 or above 5 (clamped: OpenFace
 //! itself clamps them at the end of a run, so they tell of a killed one), a `frame` column that is stuck at 0 or
 //! repeats without `face_id` (rows are numbered by their order, and only then), several faces in a frame.
@@ -15,7 +17,7 @@ mod write;
 
 use std::path::Path;
 
-use crate::{Reporter, Result, Track};
+use crate::{Reporter, Result, TableScale, Track};
 
 /// Which face of a frame with several is taken.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -27,13 +29,28 @@ pub enum FaceChoice {
     First,
 }
 
-/// How to read a table.
-#[derive(Clone, Copy, Debug, Default)]
+/// How to read a table. The default is for tables of our own, [`ReadOptions::foreign`] for others.
+#[derive(Clone, Copy, Debug)]
 pub struct ReadOptions {
     /// The number of the take's first frame in the `frame` column; `None` is OpenFace's 1.
     pub first_frame: Option<u32>,
     /// Which face is taken where there are several.
     pub face: FaceChoice,
+    /// The scale of the AU values; `None` lets the values tell.
+    pub scale: Option<TableScale>,
+}
+
+impl Default for ReadOptions {
+    fn default() -> Self {
+        Self { first_frame: None, face: FaceChoice::default(), scale: Some(TableScale::Five) }
+    }
+}
+
+impl ReadOptions {
+    /// For a table that anything may have written: its values tell their scale.
+    pub fn foreign() -> Self {
+        Self { scale: None, ..Self::default() }
+    }
 }
 
 /// Parses a table of any OpenFace version: one row per frame, in the order of frames.

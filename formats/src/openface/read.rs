@@ -7,8 +7,12 @@ use super::header::{self, Columns, cell};
 use super::{FaceChoice, ReadOptions};
 use crate::au::MAX_INTENSITY;
 use crate::error::shown;
+use crate::table_scale::{self, Judged, Values};
 use crate::track::HeadPose;
-use crate::{ActionUnit, ErrorKind, FormatError, FrameIndex, Landmarks68, Reporter, Result, Track, TrackRow, Warning};
+use crate::{
+    ActionUnit, ErrorKind, FormatError, FrameIndex, Landmarks68, Reporter, Result, TableScale, Track, TrackRow,
+    Warning, dialect,
+};
 
 /// OpenFace counts frames from 1.
 const DEFAULT_FIRST_FRAME: u32 = 1;
@@ -27,9 +31,9 @@ struct Trouble {
 }
 
 impl Trouble {
-    fn add(&mut self, record: &csv::ByteRecord) {
+    fn add(&mut self, start: usize) {
         if self.count == 0 {
-            self.first = start_of(record);
+            self.first = start;
         }
         self.count += 1;
     }
@@ -62,6 +66,9 @@ struct Parser<'a> {
     bytes: &'a [u8],
     columns: Columns,
     troubles: Troubles,
+    values: Values,
+    /// Row (byte offset) and column of the first value that is off the scale.
+    off_scale: Option<(usize, usize)>,
 }
 
 /// Parses a table; see [`super::parse`].
@@ -79,6 +86,11 @@ pub(super) fn parse(bytes: &[u8], options: &ReadOptions, reporter: &dyn Reporter
     if let Some(at) = bytes.iter().take(SNIFFED).position(|&b| b == 0) {
         return Err(no_text(at).with_hint(header::EXPECTED));
     }
+    let (converted, what) = dialect::with_commas(bytes);
+    if let Some(what) = what {
+        reporter.warn(Warning::new("other-separators", format!("{what}; both were converted")));
+    }
+    let bytes = &*converted;
     // Quotes are stripped per cell: a stray one must not swallow the lines after it.
     let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).quoting(false).from_reader(bytes);
     let mut record = csv::ByteRecord::new();
@@ -89,7 +101,7 @@ pub(super) fn parse(bytes: &[u8], options: &ReadOptions, reporter: &dyn Reporter
 
     let missing_intensity = vec![Trouble::default(); columns.intensities.len()];
     let troubles = Troubles { missing_intensity, ..Troubles::default() };
-    let mut parser = Parser { bytes, columns, troubles };
+    let mut parser = Parser { bytes, columns, troubles, values: Values::default(), off_scale: None };
     let mut rows: Vec<RawRow> = Vec::new();
     let mut more = reader.read_byte_record(&mut record).map_err(broken)?;
     let mut next = csv::ByteRecord::new();
@@ -110,6 +122,7 @@ pub(super) fn parse(bytes: &[u8], options: &ReadOptions, reporter: &dyn Reporter
         return Err(FormatError::new(ErrorKind::Empty, "the table has a header but no rows")
             .with_hint("OpenFace found no frames; check its input video"));
     }
+    parser.scale(&mut rows, options.scale, reporter)?;
     parser.tell(&rows, reporter);
     let frames = number_frames(rows, &parser, options, reporter)?;
     Ok(parser.into_track(choose_faces(frames, options.face, reporter)))
@@ -171,7 +184,7 @@ impl Parser<'_> {
             }
         }
         if missing > 0 && missing < N {
-            self.troubles.missing_point.add(record);
+            self.troubles.missing_point.add(start_of(record));
         }
         Ok((missing == 0).then_some(out))
     }
@@ -180,6 +193,9 @@ impl Parser<'_> {
         let width = self.columns.names.len();
         let too_many = record.iter().skip(width).any(|raw| !cell(raw).is_empty());
         if record.len() < width || too_many {
+            if let Some(error) = dialect::decimal_commas(width, record.len(), record.iter()) {
+                return Err(error);
+            }
             return Err(FormatError::syntax(format!("expected {width} columns, found {}", record.len()))
                 .with_hint("the table may be cut off, or two tables may have been pasted together"));
         }
@@ -206,6 +222,7 @@ impl Parser<'_> {
             landmarks_in_camera_mm: None,
             head_pose: None,
         };
+        self.values.confidence = self.values.confidence.max(confidence);
         // OpenFace fills rows without success with zeros or with its last guess; both are no measurement.
         if success {
             self.measurements(record, &mut row)?;
@@ -218,15 +235,23 @@ impl Parser<'_> {
             let column = self.columns.intensities[i].1;
             let value = self.number(record, column, "an intensity from 0 to 5")?.map(|v| v as f32);
             match value {
-                None => self.troubles.missing_intensity[i].add(record),
-                Some(v) if v < 0.0 => self.troubles.negative.add(record),
-                Some(v) if v > MAX_INTENSITY => self.troubles.above.add(record),
-                Some(_) => {}
+                None => self.troubles.missing_intensity[i].add(start_of(record)),
+                Some(v) => {
+                    self.values.add(i, v);
+                    if v > MAX_INTENSITY {
+                        self.off_scale.get_or_insert((start_of(record), column));
+                    }
+                }
             }
-            row.intensities[i] = value.map(|v| v.clamp(0.0, MAX_INTENSITY));
+            row.intensities[i] = value;
         }
         for (i, &(_, column)) in self.columns.presences.iter().enumerate() {
-            row.presences[i] = self.number(record, column, "`0` or `1`")?.map(|v| v > 0.5);
+            let value = self.number(record, column, "`0` or `1`")?;
+            self.values.presence = self.values.presence.max(value.unwrap_or(0.0) as f32);
+            if self.values.presence > 1.5 {
+                self.off_scale.get_or_insert((start_of(record), column));
+            }
+            row.presences[i] = value.map(|v| v > 0.5);
         }
         if let Some(columns) = self.columns.landmarks.take() {
             let points = self.group::<136>(record, &columns);
@@ -250,6 +275,50 @@ impl Parser<'_> {
                 translation_mm: DVec3::new(tx, ty, tz),
                 rotation_rad: DVec3::new(rx, ry, rz),
             });
+        }
+        Ok(())
+    }
+
+    /// Brings intensities to 0–5 and confidences to 0–1; what is off the scale then is clamped and counted.
+    fn scale(&mut self, rows: &mut [RawRow], stated: Option<TableScale>, reporter: &dyn Reporter) -> Result<()> {
+        let most = self.values.most();
+        let scale = if let Some(stated) = stated {
+            stated
+        } else {
+            let place = |e: FormatError| match self.off_scale {
+                Some((start, column)) => e.at_line(line_at(self.bytes, start)).in_column(self.columns.name(column)),
+                None => e,
+            };
+            match self.values.judge().map_err(place)? {
+                Judged::Plain => TableScale::Five,
+                Judged::Other(found) => {
+                    reporter.warn(Warning::new("other-scale", table_scale::converted(found, most)));
+                    found
+                }
+                Judged::Small => {
+                    reporter.warn(Warning::new("small-intensities", table_scale::small(most, "--au-scale")));
+                    TableScale::Five
+                }
+            }
+        };
+        let percent = self.values.confidence > 1.5;
+        if percent {
+            let message = format!("confidences reach {}: taken as percent", self.values.confidence);
+            reporter.warn(Warning::new("confidence-percent", message));
+        }
+        for RawRow { start, row, .. } in rows {
+            if percent {
+                row.confidence /= 100.0;
+            }
+            for value in row.intensities.iter_mut().flatten() {
+                *value *= scale.factor();
+                match *value {
+                    v if v < 0.0 => self.troubles.negative.add(*start),
+                    v if v > MAX_INTENSITY => self.troubles.above.add(*start),
+                    _ => {}
+                }
+                *value = value.clamp(0.0, MAX_INTENSITY);
+            }
         }
         Ok(())
     }

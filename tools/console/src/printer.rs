@@ -113,7 +113,7 @@ impl Console {
     }
 
     fn shows_all(&self, warnings: &BTreeMap<&'static str, u64>) -> bool {
-        self.verbose > 0 || (self.quiet == 0 && warnings.values().all(|&n| n <= SHOWN_PER_KIND))
+        self.verbose > 0 || (self.quiet < 2 && warnings.values().all(|&n| n <= SHOWN_PER_KIND))
     }
 
     fn paint(&self, code: &str, text: &str) -> String {
@@ -155,7 +155,7 @@ impl Reporter for Console {
         let mut warnings = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
         let count = warnings.entry(warning.kind).or_insert(0);
         *count += 1;
-        let shown = self.verbose > 0 || (self.quiet == 0 && *count <= SHOWN_PER_KIND);
+        let shown = self.verbose > 0 || (self.quiet < 2 && *count <= SHOWN_PER_KIND);
         drop(warnings);
         if shown {
             self.progress.print(&format!("{} {}", self.paint("33", "warning:"), warning.message));

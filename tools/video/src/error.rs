@@ -37,6 +37,24 @@ pub enum VideoError {
         /// The file.
         path: PathBuf,
     },
+    /// A file of sound, or of nothing that can be seen.
+    #[error("{}: has no video track{}", path.display(), if *sound { " (sound only)" } else { "" })]
+    NoVideoTrack {
+        /// The file.
+        path: PathBuf,
+        /// Whether there is sound.
+        sound: bool,
+    },
+    /// FFmpeg was built without a decoder for this.
+    #[error("{}: cannot decode {codec} here: {message}", path.display())]
+    NoDecoder {
+        /// The file.
+        path: PathBuf,
+        /// FFmpeg's name of the codec.
+        codec: String,
+        /// FFmpeg's reason.
+        message: String,
+    },
     /// A video of which not one frame can be decoded.
     #[error("{}: not one frame can be decoded", path.display())]
     NoFrames {
@@ -65,6 +83,18 @@ pub enum VideoError {
         /// Width and height of the first frame, pixels.
         expected: (u32, u32),
         /// Width and height of this one, pixels.
+        found: (u32, u32),
+    },
+    /// A video whose pictures change their size.
+    #[error("{}: frame {index} is {}×{} pixels, but the frames before have {}×{}", path.display(), found.0, found.1, expected.0, expected.1)]
+    StreamSizeChanged {
+        /// The video.
+        path: PathBuf,
+        /// The frame, from 0.
+        index: u32,
+        /// Width and height of the frames before as stored, pixels.
+        expected: (u32, u32),
+        /// Width and height of this one as stored, pixels.
         found: (u32, u32),
     },
     /// A frame that was asked for is not there.
@@ -109,6 +139,13 @@ impl Hint for VideoError {
             Self::NoIndex { .. } => {
                 "the recording or the copy was cut off; get the whole file, or repair it with a tool such as `untrunc`"
             }
+            Self::NoVideoTrack { .. } => "give a file with pictures; `ffprobe FILE` lists the tracks",
+            Self::NoDecoder { .. } => {
+                "convert it with an FFmpeg that has the codec: `ffmpeg -i FILE -c:v libx264 -crf 12 out.mp4`"
+            }
+            Self::StreamSizeChanged { .. } => {
+                "cut the video there, or bring it to one size: `ffmpeg -i FILE -vf scale=WIDTH:HEIGHT out.mp4`"
+            }
             Self::NoFrames { .. } => "the file is damaged or its codec is not supported; try `ffmpeg -i FILE out.mp4`",
             Self::EmptyFolder { .. } => {
                 "give a video file, or a folder with `.png`, `.jpg` or `.jpeg` images in the order of their names"
@@ -117,7 +154,7 @@ impl Hint for VideoError {
             Self::SizeChanged { .. } => "all frames must have one size; remove the odd images or scale them",
             Self::FrameMissing { .. } => "the video is not the one that the tables were made for",
             Self::Decode { .. } => "the file is damaged here; try `ffmpeg -i FILE out.mp4`",
-            Self::Encode { .. } => "check that the disk has space and that OpenCV has FFmpeg",
+            Self::Encode { .. } => "check that the disk has space",
         };
         Some(Cow::Borrowed(text))
     }

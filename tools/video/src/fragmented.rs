@@ -144,10 +144,10 @@ pub fn whole_fragments(path: &Path) -> Result<Fragments, VideoError> {
 /// The times of an MP4 file's frames.
 pub fn timeline(path: &Path) -> Result<Timeline, VideoError> {
     let mut file = File::open(path).map_err(|e| FormatError::io(path, "open", &e))?;
-    match mp4::read(&mut file).map_err(|e| FormatError::io(path, "read", &e))? {
+    match mp4::read(&mut file, None).map_err(|e| FormatError::io(path, "read", &e))? {
         Container::Indexed(timeline, ..) => Ok(timeline),
         Container::NoIndex => Err(VideoError::NoIndex { path: path.to_owned() }),
-        Container::Other => Err(VideoError::NotAVideo { path: path.to_owned() }),
+        Container::NoTrack | Container::Other => Err(VideoError::NotAVideo { path: path.to_owned() }),
     }
 }
 

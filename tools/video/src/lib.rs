@@ -1,31 +1,48 @@
 //! Videos and image folders in, videos out: upright RGB frames with their true presentation times.
 //!
-//! Decoding and encoding are OpenCV's (its FFmpeg part). What OpenCV gets wrong is put right here:
+//! Files are decoded and encoded by FFmpeg's libraries; nothing of a picture's meaning is left to their defaults:
 //!
-//! * **Times** of MP4 and MOV files come from the container's own tables, edit lists included ([`Timeline`]), because
-//!   OpenCV reports 0 for the last frames of H.264 files. For other containers OpenCV's times are taken; where it has
-//!   none, the last interval is repeated.
-//! * **Rotation** that the container asks for is applied, and a mirror too; sizes are upright. OpenCV 4.6 turns the
-//!   wrong way.
+//! * **Which stream**: covers and attached pictures are passed over; a file of sound alone is called so.
+//! * **Colours**: matrix, range and transfer curve are the stream's, and HDR is mapped to SDR (`coding`, `convert`, `hdr`).
+//! * **Shape**: pixels that are not square are resampled, rotation and mirror applied; sizes are upright.
+//! * **Times** are the container's, counted from the first frame, edit lists included; [`TimeSource`] says where a
+//!   container has none.
 //! * **Truncation**: a file cut in the middle gives its frames up to the damage, and [`Reader::truncation`] says how many
 //!   are missing.
+//!
+//! [`Camera`] gives a camera's pictures without times: on Linux through the kernel's interface (feature `v4l`), elsewhere
+//! through OpenCV (feature `opencv`).
 
 pub mod avc;
 mod camera;
+mod coding;
+mod convert;
 mod error;
+mod fast;
 pub mod fragmented;
+mod hdr;
 mod images;
 mod mp4;
+#[cfg(feature = "opencv")]
+mod opencv;
 mod orientation;
+mod pixels;
 mod reader;
+mod remarks;
+mod stream;
 mod timeline;
+mod times;
 pub mod utvideo;
 mod video;
 mod writer;
+mod yuv;
 
 pub use camera::Camera;
 pub use error::VideoError;
-pub use reader::{Frame, Reader, Truncation, VideoInfo, read_frames};
+#[cfg(feature = "opencv")]
+pub use opencv::OpenCvCamera;
+pub use reader::{Frame, Reader, TimeSource, Truncation, VideoInfo, read_frames, read_take_frames};
+pub use remarks::Remark;
 pub use timeline::Timeline;
 pub use utvideo::{RawLayout, UtEncoder, UtLayout};
 pub use writer::Writer;

@@ -1,4 +1,4 @@
-//! The timing tables and the display matrix of an MP4 or MOV file (ISO/IEC 14496-12), and nothing else of it.
+//! The timing tables of an MP4 or MOV file (ISO/IEC 14496-12), and nothing else of it.
 //!
 //! Only the `moov` box and `moof` boxes are read; every length is checked against what is there, so that damaged files
 //! give fewer boxes, never a panic or a large allocation.
@@ -6,7 +6,6 @@
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 
-use crate::orientation::Orientation;
 use crate::timeline::{Edit, Sample, Timeline};
 
 /// Larger indexes are taken for garbage: 64 MiB describe a day of video.
@@ -18,15 +17,17 @@ const MAX_SAMPLES: usize = 1 << 24;
 #[derive(Debug)]
 pub(crate) enum Container {
     /// An MP4 or MOV file with a video track; the rate at which it was filmed, where a slow-motion clip tells.
-    Indexed(Timeline, Orientation, Option<f64>),
+    Indexed(Timeline, Option<f64>),
     /// An MP4 or MOV file without a usable index.
     NoIndex,
+    /// An MP4 or MOV file whose index is there, and has no such track.
+    NoTrack,
     /// Something else.
     Other,
 }
 
-/// Reads the timing tables of the first video track.
-pub(crate) fn read(file: &mut File) -> io::Result<Container> {
+/// Reads the timing tables of a video track: the one of this number, else the first.
+pub(crate) fn read(file: &mut File, track: Option<i32>) -> io::Result<Container> {
     let length = file.metadata()?.len();
     let mut position = 0;
     let mut is_mp4 = false;
@@ -53,9 +54,14 @@ pub(crate) fn read(file: &mut File) -> io::Result<Container> {
     if !is_mp4 {
         return Ok(Container::Other);
     }
-    Ok(moov
-        .and_then(|moov| index(&moov, &fragments))
-        .map_or(Container::NoIndex, |(t, o, c)| Container::Indexed(t, o, c)))
+    let Some(moov) = moov else { return Ok(Container::NoIndex) };
+    if let Some((timeline, capture_fps)) = index(&moov, &fragments, track) {
+        return Ok(Container::Indexed(timeline, capture_fps));
+    }
+    // A track that is no video has its kind in its place: the index is sound.
+    let of_other_kinds =
+        boxes(&moov).any(|(n, b)| &n == b"trak" && !is_video(b) && find(b, &[b"mdia", b"hdlr"]).is_some());
+    Ok(if of_other_kinds { Container::NoTrack } else { Container::NoIndex })
 }
 
 /// The end of the last `mdat` (or of the index before the first) that is whole, and the file's length.
@@ -136,15 +142,15 @@ fn full(body: &[u8]) -> Option<(u8, &[u8])> {
     Some((*body.first()?, body.get(4..)?))
 }
 
-fn index(moov: &[u8], fragments: &[Vec<u8>]) -> Option<(Timeline, Orientation, Option<f64>)> {
-    let track = boxes(moov).filter(|(n, _)| n == b"trak").map(|(_, b)| b).find(|t| is_video(t))?;
+fn index(moov: &[u8], fragments: &[Vec<u8>], wanted: Option<i32>) -> Option<(Timeline, Option<f64>)> {
+    let is_wanted = |track: &[u8]| wanted.is_none_or(|id| track_id(track) == u32::try_from(id).ok());
+    let track = boxes(moov).filter(|(n, _)| n == b"trak").map(|(_, b)| b).find(|t| is_video(t) && is_wanted(t))?;
     let (version, mvhd) = full(find(moov, &[b"mvhd"])?)?;
     let movie_scale = be32(mvhd, if version == 1 { 16 } else { 8 })?;
     let (version, mdhd) = full(find(track, &[b"mdia", b"mdhd"])?)?;
     let time_scale = be32(mdhd, if version == 1 { 16 } else { 8 }).filter(|&s| s > 0)?;
     let mut samples = samples_of_table(find(track, &[b"mdia", b"minf", b"stbl"])?)?;
-    let (version, tkhd) = full(find(track, &[b"tkhd"])?)?;
-    let track_id = be32(tkhd, if version == 1 { 16 } else { 8 })?;
+    let track_id = track_id(track)?;
     let defaults = boxes(find(moov, &[b"mvex"]).unwrap_or_default())
         .filter(|(n, body)| n == b"trex" && be32(body, 4) == Some(track_id))
         .find_map(|(_, body)| be32(body, 12))
@@ -154,7 +160,7 @@ fn index(moov: &[u8], fragments: &[Vec<u8>]) -> Option<(Timeline, Orientation, O
     }
     let edits = find(track, &[b"edts", b"elst"]).and_then(edits).unwrap_or_default();
     let timeline = Timeline::new(&samples, &edits, time_scale, movie_scale);
-    Some((timeline, orientation(version, tkhd), capture_fps(moov)))
+    Some((timeline, capture_fps(moov)))
 }
 
 /// The key under which Android writes how fast a clip was filmed, however slowly it plays.
@@ -180,11 +186,9 @@ fn capture_fps(moov: &[u8]) -> Option<f64> {
     (1.0..=10_000.0).contains(&fps).then_some(fps)
 }
 
-/// The display matrix of a track header: after times, duration, layer, group and volume; 16.16 fixed point.
-fn orientation(version: u8, tkhd: &[u8]) -> Orientation {
-    let at = if version == 1 { 48 } else { 36 };
-    let entry = |i: usize| be32(tkhd, at + 4 * i).map_or(0, |v| v as i32);
-    Orientation::from_matrix(entry(0), entry(1), entry(3), entry(4))
+fn track_id(track: &[u8]) -> Option<u32> {
+    let (version, tkhd) = full(find(track, &[b"tkhd"])?)?;
+    be32(tkhd, if version == 1 { 16 } else { 8 })
 }
 
 fn is_video(track: &[u8]) -> bool {
@@ -296,7 +300,7 @@ mod tests {
         file.set_len(0).unwrap();
         file.seek(SeekFrom::Start(0)).unwrap();
         file.write_all(bytes).unwrap();
-        read(file).unwrap()
+        read(file, None).unwrap()
     }
 
     /// A file of a header and an index alone: 5 frames, reordered, trimmed by an edit.
@@ -340,14 +344,12 @@ mod tests {
 
     #[test]
     fn an_index_is_read_by_its_letter() {
-        let Container::Indexed(timeline, orientation, capture_fps) =
-            read_bytes(&mut tempfile::tempfile().unwrap(), &small_file())
+        let Container::Indexed(timeline, capture_fps) = read_bytes(&mut tempfile::tempfile().unwrap(), &small_file())
         else {
             panic!("not read");
         };
         // Decoded at 0, 10, … and shown at 10, 30, 40, 30, 40; shown from 20 on.
         assert_eq!(timeline.nanos(), [0, 0, 10_000_000, 10_000_000]);
-        assert_eq!(orientation, Orientation { mirrored: false, clockwise_degrees: 90 });
         assert_eq!(capture_fps, Some(240.0));
     }
 

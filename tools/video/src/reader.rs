@@ -3,9 +3,11 @@
 use std::path::Path;
 
 use image::RgbImage;
-use risorius_formats::FormatError;
+use risorius_formats::{FormatError, Take};
 
 use crate::images::ImageFolder;
+use crate::orientation::Orientation;
+use crate::remarks::Remark;
 use crate::video::VideoFile;
 use crate::{DEFAULT_IMAGE_FPS, VideoError};
 
@@ -16,14 +18,35 @@ pub struct VideoInfo {
     pub width: u32,
     /// Upright height, pixels.
     pub height: u32,
-    /// Clockwise rotation that the container asks for and that is applied: 0, 90, 180 or 270 degrees.
+    /// Clockwise rotation that is applied, the container's and [`Reader::turn`]'s: 0, 90, 180 or 270 degrees.
     pub rotation_degrees: u32,
     /// Frames per second: what the container states if the times agree, else their mean; 30 for image folders.
     pub fps: f64,
+    /// Frames per second at the shortest usual interval: dim light lowers a camera's mean rate, and not this.
+    pub peak_fps: f64,
+    /// Where the frames' times come from.
+    pub times: TimeSource,
     /// Frames per second at which a slow-motion clip was filmed, where its metadata tell (Android's do).
     pub capture_fps: Option<f64>,
     /// Number of frames: exact for MP4, MOV and image folders, an estimate otherwise.
     pub frame_count_estimate: Option<u64>,
+    /// How the pictures are coded, such as `yuv420p, BT.709, limited range`; empty for image folders.
+    pub coding: String,
+    /// What the stream is and what was done to its pictures, for the user to know.
+    pub remarks: Vec<Remark>,
+}
+
+/// Where the times of frames come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TimeSource {
+    /// The container has a time for every frame.
+    Container,
+    /// From the rate that was asked for: an image folder, or a stream without times.
+    Asked,
+    /// From the rate in the header of a stream without times, such as raw H.264.
+    StreamRate,
+    /// Nothing tells: counted at a rate that is nobody's.
+    Unknown,
 }
 
 /// One frame, upright.
@@ -37,13 +60,15 @@ pub struct Frame {
     pub image: RgbImage,
 }
 
-/// A video that ended before its time.
+/// A video of which not all frames could be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Truncation {
     /// Frames that could be read.
     pub read: u32,
     /// Frames that the container announces.
     pub expected: u64,
+    /// Of those that could not be read, the first ones: the file begins between two keyframes.
+    pub lost_at_start: u32,
 }
 
 /// Reads the frames of a video file or an image folder, one after the other, in constant memory.
@@ -57,7 +82,7 @@ pub struct Reader {
 #[derive(Debug)]
 enum Source {
     Video(Box<VideoFile>),
-    Images(ImageFolder),
+    Images(ImageFolder, Orientation),
 }
 
 impl Reader {
@@ -75,23 +100,58 @@ impl Reader {
             let (width, height) = images.size();
             let frame_count_estimate = Some(images.len() as u64);
             let fps = image_fps.filter(|f| f.is_finite() && *f > 0.0).unwrap_or(DEFAULT_IMAGE_FPS);
-            let info = VideoInfo { width, height, rotation_degrees: 0, fps, capture_fps: None, frame_count_estimate };
-            return Ok(Self { source: Source::Images(images), info, next: 0 });
+            let info = VideoInfo {
+                width,
+                height,
+                rotation_degrees: 0,
+                fps,
+                peak_fps: fps,
+                times: TimeSource::Asked,
+                capture_fps: None,
+                frame_count_estimate,
+                coding: String::new(),
+                remarks: Vec::new(),
+            };
+            return Ok(Self { source: Source::Images(images, Orientation::default()), info, next: 0 });
         }
         if !kind.is_file() {
             return Err(VideoError::NotAFile { path: path.to_owned() });
         }
-        let video = VideoFile::open(path)?;
+        let video = VideoFile::open(path, image_fps)?;
         let (width, height) = video.size();
         let info = VideoInfo {
             width,
             height,
             rotation_degrees: video.rotation_degrees(),
             fps: video.fps(),
+            peak_fps: video.peak_fps(),
+            times: video.times(),
             capture_fps: video.capture_fps(),
             frame_count_estimate: video.frame_count_estimate(),
+            coding: video.coding().to_owned(),
+            remarks: video.remarks().to_vec(),
         };
         Ok(Self { source: Source::Video(Box::new(video)), info, next: 0 })
+    }
+
+    /// Opens a take's media, turned as the take is.
+    pub fn open_take(take: &Take) -> Result<Self, VideoError> {
+        let mut reader = Self::open(take.media_path())?;
+        // The take's rotation is the container's and what `capture record --rotate` added.
+        reader.turn((360 + take.manifest.rotation_degrees % 360 - reader.info.rotation_degrees) % 360);
+        Ok(reader)
+    }
+
+    /// Turns all pictures by 0, 90, 180 or 270 degrees clockwise, beyond what the container asks for; call it before the
+    /// first frame is read.
+    pub fn turn(&mut self, degrees: u32) {
+        let more = Orientation::default().turned(degrees);
+        match &mut self.source {
+            Source::Video(video) => video.turn(degrees),
+            Source::Images(_, turn) => *turn = turn.turned(degrees),
+        }
+        (self.info.width, self.info.height) = more.size((self.info.width, self.info.height));
+        self.info.rotation_degrees = (self.info.rotation_degrees + degrees) % 360;
     }
 
     /// What is known of the video.
@@ -101,13 +161,13 @@ impl Reader {
 
     /// Whether this is an image folder.
     pub fn is_image_folder(&self) -> bool {
-        matches!(self.source, Source::Images(_))
+        matches!(self.source, Source::Images(..))
     }
 
     /// The image files, in the order they are read; empty for a video file.
     pub fn image_files(&self) -> &[std::path::PathBuf] {
         match &self.source {
-            Source::Images(images) => images.files(),
+            Source::Images(images, _) => images.files(),
             Source::Video(_) => &[],
         }
     }
@@ -115,12 +175,12 @@ impl Reader {
     /// The next frame, upright; `None` after the last one.
     pub fn next_frame(&mut self) -> Result<Option<Frame>, VideoError> {
         let (timestamp_nanos, image) = match &mut self.source {
-            Source::Video(video) => match video.grab() {
+            Source::Video(video) => match video.grab()? {
                 Some(nanos) => (nanos, video.retrieve()?),
                 None => return Ok(None),
             },
-            Source::Images(images) => match images.next_image()? {
-                Some(image) => ((f64::from(self.next) * 1e9 / self.info.fps).round() as i64, image),
+            Source::Images(images, turn) => match images.next_image()? {
+                Some(image) => ((f64::from(self.next) * 1e9 / self.info.fps).round() as i64, turn.apply(image)),
                 None => return Ok(None),
             },
         };
@@ -132,18 +192,18 @@ impl Reader {
     /// Passes over a frame without converting its pixels; false after the last one.
     pub fn skip_frame(&mut self) -> Result<bool, VideoError> {
         let there = match &mut self.source {
-            Source::Video(video) => video.grab().is_some(),
-            Source::Images(images) => images.skip(),
+            Source::Video(video) => video.grab()?.is_some(),
+            Source::Images(images, _) => images.skip(),
         };
         self.next += u32::from(there);
         Ok(there)
     }
 
-    /// Once the end was reached: whether the file was cut off before it.
+    /// Once the end was reached: which frames could not be read.
     pub fn truncation(&self) -> Option<Truncation> {
         match &self.source {
             Source::Video(video) => video.truncation(),
-            Source::Images(_) => None,
+            Source::Images(..) => None,
         }
     }
 }
@@ -154,16 +214,34 @@ impl Reader {
 pub fn read_frames<E: From<VideoError>>(
     path: impl AsRef<Path>,
     indices: &[u32],
-    mut each: impl FnMut(u32, RgbImage) -> Result<(), E>,
+    each: impl FnMut(u32, RgbImage) -> Result<(), E>,
 ) -> Result<(), E> {
     let path = path.as_ref();
+    wanted_frames(path, || Reader::open(path), indices, each)
+}
+
+/// As [`read_frames`], of a take's media, turned as the take is.
+pub fn read_take_frames<E: From<VideoError>>(
+    take: &Take,
+    indices: &[u32],
+    each: impl FnMut(u32, RgbImage) -> Result<(), E>,
+) -> Result<(), E> {
+    wanted_frames(&take.media_path(), || Reader::open_take(take), indices, each)
+}
+
+fn wanted_frames<E: From<VideoError>>(
+    path: &Path,
+    open: impl FnOnce() -> Result<Reader, VideoError>,
+    indices: &[u32],
+    mut each: impl FnMut(u32, RgbImage) -> Result<(), E>,
+) -> Result<(), E> {
     let mut wanted = indices.to_vec();
     wanted.sort_unstable();
     wanted.dedup();
     if wanted.is_empty() {
         return Ok(());
     }
-    let mut reader = Reader::open(path)?;
+    let mut reader = open()?;
     let missing = |index, count| VideoError::FrameMissing { path: path.to_owned(), index, count };
     for index in wanted {
         while reader.next < index {

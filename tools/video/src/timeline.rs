@@ -37,21 +37,6 @@ impl Timeline {
     pub fn nanos(&self) -> &[i64] {
         &self.nanos
     }
-
-    /// The frame after `after` whose time is nearest to `nanos`, or the next one when `nanos` is unknown.
-    ///
-    /// Decoders drop damaged frames without a word; their time tells which frame came out.
-    pub(crate) fn locate(&self, after: Option<usize>, nanos: Option<i64>) -> Option<usize> {
-        let next = after.map_or(0, |i| i + 1);
-        if next >= self.nanos.len() {
-            return None;
-        }
-        let Some(nanos) = nanos else { return Some(next) };
-        let rest = &self.nanos[next..];
-        let upper = rest.partition_point(|&t| t < nanos).min(rest.len() - 1);
-        let nearer_below = upper > 0 && nanos - rest[upper - 1] < rest[upper] - nanos;
-        Some(next + upper - usize::from(nearer_below))
-    }
 }
 
 /// The times that the edits show, on the movie's timeline but in ticks of the track.
@@ -116,15 +101,5 @@ mod tests {
     fn thirds_of_a_second_are_rounded_not_summed() {
         let t = Timeline::new(&samples(&[0, 1, 2, 3]), &[], 3, 1);
         assert_eq!(t.nanos(), [0, 333_333_333, 666_666_667, 1_000_000_000]);
-    }
-
-    #[test]
-    fn a_dropped_frame_is_noticed_by_its_time() {
-        let t = Timeline::new(&samples(&[0, 10, 20, 40]), &[], 1000, 1);
-        assert_eq!(t.locate(None, Some(0)), Some(0));
-        assert_eq!(t.locate(Some(0), Some(21_000_000)), Some(2));
-        assert_eq!(t.locate(Some(0), None), Some(1));
-        assert_eq!(t.locate(Some(2), Some(0)), Some(3));
-        assert_eq!(t.locate(Some(3), None), None);
     }
 }

@@ -1,4 +1,4 @@
-//! Lossless coding of raw frames: the Ut Video codec, which FFmpeg (and with it OpenCV, players and editors) decodes.
+//! Lossless coding of raw frames: the Ut Video codec, which FFmpeg (and with it players and editors) decodes.
 //!
 //! Each plane is predicted from its left neighbour, and the differences get a Huffman code of their own in each frame. One
 //! slice a plane; the planes are coded side by side. About 2:1 on camera pictures, at several hundred 720p frames a second.

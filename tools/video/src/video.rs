@@ -1,130 +1,246 @@
-//! A video file through OpenCV.
+//! A video file through FFmpeg's libraries.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::sync::Once;
 
+use ffmpeg::format::context::Input;
+use ffmpeg::{Packet, Rational, decoder, frame};
 use image::RgbImage;
-use opencv::core::{LogLevel, Mat, MatTraitConst, Vec3b};
-use opencv::prelude::{VideoCaptureTrait, VideoCaptureTraitConst};
-use opencv::videoio::{self, VideoCapture};
 use risorius_formats::FormatError;
 
+use crate::coding::Coding;
+use crate::convert::Converter;
 use crate::mp4::{self, Container};
-use crate::orientation::Orientation;
-use crate::{Timeline, Truncation, VideoError};
+use crate::orientation::{Orientation, Widening};
+use crate::remarks::{Facts, Remark, describe, remarks};
+use crate::times::{self, Rates};
+use crate::{TimeSource, Timeline, Truncation, VideoError, pixels, stream};
 
-/// Frame rates that a container may state and be believed.
-const SANE_FPS: std::ops::RangeInclusive<f64> = 0.1..=2000.0;
 /// The frame rate when neither the container nor the times tell.
-const UNKNOWN_FPS: f64 = 30.0;
+const UNKNOWN_FPS: f64 = 25.0;
+/// A decoder that fails so often in a row without taking a packet is stuck.
+const PATIENCE: usize = 1000;
 
-#[derive(Debug)]
 pub(crate) struct VideoFile {
     path: PathBuf,
-    capture: VideoCapture,
+    input: Input,
+    decoder: decoder::Video,
+    stream: usize,
+    time_base: Rational,
+    packet: Packet,
+    picture: frame::Video,
+    converter: Converter,
+    /// Of MP4 and MOV files: when every frame is shown.
     timeline: Option<Timeline>,
-    size: (u32, u32),
+    stored_size: (u32, u32),
     orientation: Orientation,
+    /// Turned by the container; the rest of `orientation` was asked for.
+    rotation_degrees: u32,
+    widening: Option<Widening>,
     fps: f64,
+    peak_fps: f64,
+    times: TimeSource,
     capture_fps: Option<f64>,
-    /// Length that OpenCV derives from the container, for files without a timeline.
+    /// Length that the container states.
     stated_secs: Option<f64>,
-    bgr: Mat,
-    spare: Mat,
-    /// The first frame is decoded at opening, to know the upright size.
+    remarks: Vec<Remark>,
+    coding: String,
+    /// The first frame is decoded at opening, to know what the pictures are.
     first_is_waiting: bool,
     /// How many frames have been handed out.
     count: u32,
-    located: Option<usize>,
-    base_msec: f64,
+    /// Packets of frames that are shown before the first one that can be decoded.
+    lost_at_start: u32,
+    /// Times of the packets before the first picture came out.
+    sent_ticks: Vec<i64>,
+    first_ticks: Option<i64>,
     last_nanos: i64,
     interval_nanos: i64,
+    draining: bool,
     ended: bool,
 }
 
+/// Whether a decoder wants a packet before it gives a picture.
+fn is_hungry(error: ffmpeg::Error) -> bool {
+    let ffmpeg::Error::Other { errno } = error else { return false };
+    std::io::Error::from_raw_os_error(errno).kind() == std::io::ErrorKind::WouldBlock
+}
+
+impl std::fmt::Debug for VideoFile {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("VideoFile").field("path", &self.path).field("count", &self.count).finish_non_exhaustive()
+    }
+}
+
 impl VideoFile {
-    pub(crate) fn open(path: &Path) -> Result<Self, VideoError> {
+    /// Opens a video; `rate` is for streams whose container has no times.
+    pub(crate) fn open(path: &Path, rate: Option<f64>) -> Result<Self, VideoError> {
         let mut file = File::open(path).map_err(|e| FormatError::io(path, "open", &e))?;
         let length = file.metadata().map_err(|e| FormatError::io(path, "read", &e))?.len();
         if length == 0 {
             return Err(VideoError::Empty { path: path.to_owned() });
         }
-        let (timeline, orientation, capture_fps) =
-            match mp4::read(&mut file).map_err(|e| FormatError::io(path, "read", &e))? {
-                Container::Indexed(timeline, orientation, fps) => (Some(timeline), Some(orientation), fps),
-                Container::NoIndex => return Err(VideoError::NoIndex { path: path.to_owned() }),
-                Container::Other => (None, None, None),
-            };
-        silence();
-        // An absolute path: FFmpeg would take `a:b.mp4` for a protocol.
-        let absolute = std::path::absolute(path).map_err(|e| FormatError::io(path, "open", &e))?;
-        let capture = VideoCapture::from_file(&absolute, videoio::CAP_FFMPEG)
-            .ok()
-            .filter(|c| c.is_opened().unwrap_or(false))
-            .ok_or_else(|| VideoError::NotAVideo { path: path.to_owned() })?;
+        // The index says more than FFmpeg: whether it is there, and every frame's time before the first is decoded.
+        if matches!(mp4::read(&mut file, None).map_err(|e| FormatError::io(path, "read", &e))?, Container::NoIndex) {
+            return Err(VideoError::NoIndex { path: path.to_owned() });
+        }
+        let input = stream::open_input(path)?;
+        let choice = stream::choose(&input, path)?;
+        let chosen = input.stream(choice.index).ok_or_else(|| VideoError::NotAVideo { path: path.to_owned() })?;
+        let (track, time_base, order) = (chosen.id(), chosen.time_base(), chosen.parameters().field_order());
+        let tagged_alpha = chosen.metadata().get("alpha_mode") == Some("1");
+        let stated_fps = times::sane(chosen.avg_frame_rate(), time_base);
+        let secs = |ticks: i64, base: f64| Some(ticks as f64 * base).filter(|s| *s > 0.0);
+        let base = f64::from(time_base.numerator()) / f64::from(time_base.denominator());
+        let stated_secs = secs(chosen.duration(), base).or_else(|| secs(input.duration(), 1e-6));
+        let decoder = stream::open_decoder(&chosen, path)?;
+        let turn = stream::orientation(&chosen);
+        let timed = stream::has_times(&input);
+        let (timeline, capture_fps) = match mp4::read(&mut file, Some(track)) {
+            Ok(Container::Indexed(timeline, fps)) => (Some(timeline), fps),
+            _ => (None, None),
+        };
+        // Tools that copy the clip write the number as text.
+        let as_text = || input.metadata().get("com.android.capture.fps").and_then(|t| t.parse().ok());
+        let capture_fps = capture_fps.or_else(as_text).filter(|fps: &f64| (1.0..=10_000.0).contains(fps));
+        let rates = match &timeline {
+            Some(timeline) => Rates::of(timeline.nanos()),
+            None if timed => times::sample(&mut stream::open_input(path)?, choice.index, time_base),
+            None => None,
+        };
         let mut this = Self {
             path: path.to_owned(),
-            capture,
+            stream: choice.index,
+            time_base,
+            packet: Packet::empty(),
+            picture: frame::Video::empty(),
+            converter: Converter::default(),
             timeline,
-            size: (0, 0),
+            stored_size: (0, 0),
             orientation: Orientation::default(),
+            rotation_degrees: 0,
+            widening: None,
             fps: UNKNOWN_FPS,
+            peak_fps: UNKNOWN_FPS,
+            times: TimeSource::Container,
             capture_fps,
-            stated_secs: None,
-            bgr: Mat::default(),
-            spare: Mat::default(),
-            first_is_waiting: false,
+            stated_secs,
+            remarks: Vec::new(),
+            coding: String::new(),
+            first_is_waiting: true,
             count: 0,
-            located: None,
-            base_msec: 0.0,
+            lost_at_start: 0,
+            sent_ticks: Vec::new(),
+            first_ticks: None,
             last_nanos: 0,
             interval_nanos: 0,
+            draining: false,
             ended: false,
+            input,
+            decoder,
         };
-        // Where it cannot be switched off it is not there.
-        let _ = this.capture.set(videoio::CAP_PROP_ORIENTATION_AUTO, 0.0);
-        let reported = this.get(videoio::CAP_PROP_ORIENTATION_META);
-        this.orientation = orientation.unwrap_or_else(|| Orientation::from_opencv(reported));
-        this.read_first()?;
+        if !this.decode() {
+            return Err(VideoError::NoFrames { path: path.to_owned() });
+        }
+        let header_fps = this.decoder.frame_rate().and_then(|r| times::sane(r, Rational::new(1, 90_000)));
+        let header_fps = header_fps.filter(|&fps| fps != stream::NOBODYS_FPS);
+        this.choose_rates(stated_fps, rates, timed, header_fps, rate);
+        this.look_at_first(turn, order, tagged_alpha, choice.others);
         Ok(this)
     }
 
-    fn read_first(&mut self) -> Result<(), VideoError> {
-        if !self.capture.grab().unwrap_or(false)
-            || !self.capture.retrieve_def(&mut self.bgr).unwrap_or(false)
-            || self.bgr.empty()
-        {
-            return Err(VideoError::NoFrames { path: self.path.clone() });
+    fn choose_rates(
+        &mut self,
+        stated: Option<f64>,
+        rates: Option<Rates>,
+        timed: bool,
+        of_header: Option<f64>,
+        asked: Option<f64>,
+    ) {
+        if timed {
+            self.fps = match (stated, rates) {
+                (Some(stated), Some(rates)) if (stated / rates.mean - 1.0).abs() < 0.005 => stated,
+                (_, Some(rates)) => rates.mean,
+                (Some(stated), None) => stated,
+                (None, None) => UNKNOWN_FPS,
+            };
+            self.peak_fps = rates.map_or(self.fps, |r| r.peak);
+        } else {
+            (self.fps, self.times) = match (asked, of_header) {
+                (Some(fps), _) => (fps, TimeSource::Asked),
+                (None, Some(fps)) => (fps, TimeSource::StreamRate),
+                (None, None) => (UNKNOWN_FPS, TimeSource::Unknown),
+            };
+            self.peak_fps = self.fps;
         }
-        self.first_is_waiting = true;
-        let fail = |e: opencv::Error| VideoError::Decode { path: self.path.clone(), index: 0, message: e.message };
-        self.orientation.apply(&mut self.bgr, &mut self.spare).map_err(fail)?;
-        self.size = (self.bgr.cols() as u32, self.bgr.rows() as u32);
-        // Below 0 it is a decoding time, which OpenCV gives for the first frame of some files; the others count from 0.
-        self.base_msec = self.get(videoio::CAP_PROP_POS_MSEC).max(0.0);
-        let stated = Some(self.get(videoio::CAP_PROP_FPS)).filter(|f| SANE_FPS.contains(f));
-        self.fps = choose_fps(stated, self.timeline.as_ref());
-        let frames = self.get(videoio::CAP_PROP_FRAME_COUNT);
-        self.stated_secs = stated.filter(|_| frames > 0.0).map(|fps| frames / fps);
         self.interval_nanos = (1e9 / self.fps) as i64;
-        Ok(())
     }
 
+    fn look_at_first(
+        &mut self,
+        turn: Option<Orientation>,
+        field_order: ffmpeg::FieldOrder,
+        tagged_alpha: bool,
+        other_videos: usize,
+    ) {
+        let first = &self.picture;
+        self.stored_size = (first.width(), first.height());
+        let in_stream = || {
+            let matrix = first.side_data(frame::side_data::Type::DisplayMatrix)?;
+            Orientation::from_side_data(matrix.data())
+        };
+        self.orientation = turn.or_else(in_stream).unwrap_or_default();
+        self.rotation_degrees = self.orientation.clockwise_degrees;
+        let aspect = self.input.stream(self.stream).map_or(1.0, |s| stream::pixel_aspect(&s, first.aspect_ratio()));
+        self.widening = Widening::new(first.width(), aspect);
+        let coding = Coding::of(first, pixels::family(first.format()));
+        let widened = self.widening.as_ref().map(|w| (first.width(), w.width()));
+        self.remarks = remarks(&Facts { first, field_order, tagged_alpha, coding, other_videos, widened });
+        self.coding = describe(first.format(), coding);
+        self.first_ticks = first.timestamp();
+        if let Some(shown) = self.first_ticks {
+            self.lost_at_start = self.sent_ticks.iter().filter(|&&t| t < shown).count() as u32;
+        }
+        self.sent_ticks = Vec::new();
+    }
+
+    /// Width and height as shown, pixels.
     pub(crate) fn size(&self) -> (u32, u32) {
-        self.size
+        let width = self.widening.as_ref().map_or(self.stored_size.0, Widening::width);
+        self.orientation.size((width, self.stored_size.1))
     }
 
     pub(crate) fn rotation_degrees(&self) -> u32 {
-        self.orientation.clockwise_degrees
+        self.rotation_degrees
+    }
+
+    /// Turns all pictures further, clockwise.
+    pub(crate) fn turn(&mut self, degrees: u32) {
+        self.orientation = self.orientation.turned(degrees);
     }
 
     pub(crate) fn fps(&self) -> f64 {
         self.fps
     }
 
+    pub(crate) fn peak_fps(&self) -> f64 {
+        self.peak_fps
+    }
+
+    pub(crate) fn times(&self) -> TimeSource {
+        self.times
+    }
+
     pub(crate) fn capture_fps(&self) -> Option<f64> {
         self.capture_fps
+    }
+
+    pub(crate) fn remarks(&self) -> &[Remark] {
+        &self.remarks
+    }
+
+    pub(crate) fn coding(&self) -> &str {
+        &self.coding
     }
 
     pub(crate) fn frame_count_estimate(&self) -> Option<u64> {
@@ -135,58 +251,90 @@ impl VideoFile {
     }
 
     /// Moves to the next frame without converting it; gives its time since the first frame.
-    pub(crate) fn grab(&mut self) -> Option<i64> {
+    pub(crate) fn grab(&mut self) -> Result<Option<i64>, VideoError> {
         if self.ended {
-            return None;
+            return Ok(None);
         }
-        if !std::mem::take(&mut self.first_is_waiting) && !self.capture.grab().unwrap_or(false) {
+        if !std::mem::take(&mut self.first_is_waiting) && !self.decode() {
             self.ended = true;
-            return None;
+            return Ok(None);
         }
-        let nanos = self.time_of_grabbed();
+        let found = (self.picture.width(), self.picture.height());
+        if found != self.stored_size {
+            let expected = self.stored_size;
+            return Err(VideoError::StreamSizeChanged { path: self.path.clone(), index: self.count, expected, found });
+        }
+        let nanos = self.time_of_picture();
         self.count += 1;
         if self.count > 1 {
             self.interval_nanos = nanos - self.last_nanos;
         }
         self.last_nanos = nanos;
-        Some(nanos)
+        Ok(Some(nanos))
     }
 
-    fn time_of_grabbed(&mut self) -> i64 {
+    fn time_of_picture(&self) -> i64 {
         if self.count == 0 {
-            self.located = Some(0);
             return 0;
         }
-        // OpenCV has no time for the last frames of a stream whose frames are reordered, and says 0.
-        let msec = Some(self.get(videoio::CAP_PROP_POS_MSEC)).filter(|&m| m > self.base_msec);
-        let reported = msec.map(|m| ((m - self.base_msec) * 1e6).round() as i64);
-        let following = self.last_nanos.saturating_add(self.interval_nanos);
-        if let Some(timeline) = &self.timeline {
-            let found = timeline.locate(self.located, reported);
-            self.located = found.or(self.located);
-            found.and_then(|i| timeline.nanos().get(i).copied()).unwrap_or(following)
-        } else {
-            reported.filter(|&t| t > self.last_nanos).unwrap_or(following)
+        if self.times != TimeSource::Container {
+            return (f64::from(self.count) * 1e9 / self.fps).round() as i64;
+        }
+        let found = self.picture.timestamp().zip(self.first_ticks);
+        let found = found.map(|(now, first)| times::nanos(now.saturating_sub(first), self.time_base));
+        // Where a container has no time for a picture, the last interval is repeated.
+        found.filter(|&t| t >= self.last_nanos).unwrap_or_else(|| self.last_nanos.saturating_add(self.interval_nanos))
+    }
+
+    /// Decodes the next picture; false at the end.
+    fn decode(&mut self) -> bool {
+        let mut failures = 0;
+        while failures < PATIENCE {
+            match self.decoder.receive_frame(&mut self.picture) {
+                Ok(()) => return true,
+                Err(ffmpeg::Error::Eof) => return false,
+                Err(e) if is_hungry(e) && self.draining => return false,
+                Err(e) if is_hungry(e) => self.feed(),
+                // What is damaged gives no picture; what follows does.
+                Err(_) => failures += 1,
+            }
+        }
+        false
+    }
+
+    /// Gives the decoder the next packet, or the word that there is none.
+    fn feed(&mut self) {
+        loop {
+            match self.packet.read(&mut self.input) {
+                Ok(()) if self.packet.stream() != self.stream => {}
+                Ok(()) => {
+                    if self.first_is_waiting && self.first_ticks.is_none() {
+                        self.sent_ticks.extend(self.packet.pts());
+                    }
+                    let _ = self.decoder.send_packet(&self.packet);
+                    return;
+                }
+                Err(_) => {
+                    self.draining = true;
+                    let _ = self.decoder.send_eof();
+                    return;
+                }
+            }
         }
     }
 
     /// The frame that was grabbed last, as RGB.
     pub(crate) fn retrieve(&mut self) -> Result<RgbImage, VideoError> {
         let index = self.count.saturating_sub(1);
-        let (path, size) = (&self.path, self.size);
-        let fail = |message: String| VideoError::Decode { path: path.clone(), index, message };
-        // The first frame lies in the buffer already.
-        if index > 0 {
-            if !self.capture.retrieve_def(&mut self.bgr).map_err(|e| fail(e.message))? {
-                return Err(fail("the decoder gives no picture".to_owned()));
-            }
-            self.orientation.apply(&mut self.bgr, &mut self.spare).map_err(|e| fail(e.message))?;
-        }
-        let found = (self.bgr.cols() as u32, self.bgr.rows() as u32);
-        if found != size {
-            return Err(VideoError::SizeChanged { path: path.clone(), expected: size, found });
-        }
-        bgr_to_rgb(&self.bgr).map_err(|e| fail(e.message))
+        let coding = Coding::of(&self.picture, pixels::family(self.picture.format()));
+        let converter = &mut self.converter;
+        let stored = pixels::with_planes(&self.picture, |planes| converter.run(planes, coding));
+        let stored = stored.map_err(|message| VideoError::Decode { path: self.path.clone(), index, message })?;
+        let square = match &self.widening {
+            Some(widening) => widening.apply(&stored),
+            None => stored,
+        };
+        Ok(self.orientation.apply(square))
     }
 
     /// What is missing, once the end has been reached.
@@ -194,60 +342,18 @@ impl VideoFile {
         if !self.ended {
             return None;
         }
-        let expected = if let Some(timeline) = &self.timeline {
-            timeline.nanos().len() as u64
-        } else {
-            // Other containers only state a length, which sound may stretch a little.
-            let secs = self.last_nanos.saturating_add(self.interval_nanos) as f64 * 1e-9;
-            let stated = self.stated_secs.filter(|s| s - secs > 1.0 && secs < 0.95 * s)?;
-            (f64::from(self.count) * stated / secs).round() as u64
-        };
-        (u64::from(self.count) < expected).then_some(Truncation { read: self.count, expected })
-    }
-
-    fn get(&self, property: i32) -> f64 {
-        self.capture.get(property).unwrap_or(0.0)
-    }
-}
-
-/// The stated rate where the times agree with it, else the mean rate of the times.
-fn choose_fps(stated: Option<f64>, timeline: Option<&Timeline>) -> f64 {
-    let nanos = timeline.map_or(&[][..], Timeline::nanos);
-    let mean = nanos.last().filter(|&&last| last > 0).map(|&last| (nanos.len() - 1) as f64 * 1e9 / last as f64);
-    match (stated, mean) {
-        (Some(stated), Some(mean)) if (stated / mean - 1.0).abs() < 0.005 => stated,
-        (_, Some(mean)) => mean,
-        (Some(stated), None) => stated,
-        (None, None) => UNKNOWN_FPS,
-    }
-}
-
-pub(crate) fn bgr_to_rgb(bgr: &Mat) -> opencv::Result<RgbImage> {
-    let mut bytes = vec![0u8; bgr.total() * 3];
-    let mut rgb = Mat::new_rows_cols_with_bytes_mut::<Vec3b>(bgr.rows(), bgr.cols(), &mut bytes)?;
-    opencv::imgproc::cvt_color_def(bgr, &mut rgb, opencv::imgproc::COLOR_BGR2RGB)?;
-    drop(rgb);
-    RgbImage::from_raw(bgr.cols() as u32, bgr.rows() as u32, bytes)
-        .ok_or_else(|| opencv::Error::new(opencv::core::StsUnmatchedSizes, "the picture has a wrong size"))
-}
-
-/// Keeps OpenCV and FFmpeg from writing to stderr: what went wrong comes back as an error.
-pub(crate) fn silence() {
-    static ONCE: Once = Once::new();
-    ONCE.call_once(|| {
-        const LEVEL: &str = "OPENCV_FFMPEG_LOGLEVEL";
-        if std::env::var_os(LEVEL).is_none() {
-            // -8 is FFmpeg's AV_LOG_QUIET; OpenCV reads it once, when it first touches FFmpeg.
-            #[expect(
-                unsafe_code,
-                reason = "the only switch OpenCV has; set once, under a lock, before FFmpeg starts its threads"
-            )]
-            // SAFETY: Rust's own readers of the environment are locked out; nothing else here reads it from C.
-            unsafe {
-                std::env::set_var(LEVEL, "-8");
-            }
+        if let Some(timeline) = &self.timeline {
+            let expected = timeline.nanos().len() as u64;
+            let missing = expected.saturating_sub(self.count.into());
+            let lost_at_start = u64::from(self.lost_at_start).min(missing) as u32;
+            return (missing > 0).then_some(Truncation { read: self.count, expected, lost_at_start });
         }
-        // Without it OpenCV is only more talkative.
-        let _ = opencv::core::set_log_level(LogLevel::LOG_LEVEL_SILENT);
-    });
+        // Other containers only state a length, which sound may stretch a little.
+        let secs = self.last_nanos.saturating_add(self.interval_nanos) as f64 * 1e-9;
+        let stated = self.stated_secs.filter(|s| secs > 0.0 && s - secs > 1.0 && secs < 0.95 * s);
+        let whole = u64::from(self.count) + u64::from(self.lost_at_start);
+        let expected = stated.map_or(whole, |s| (f64::from(self.count) * s / secs).round() as u64).max(whole);
+        let lost_at_start = self.lost_at_start;
+        (expected > u64::from(self.count)).then_some(Truncation { read: self.count, expected, lost_at_start })
+    }
 }

@@ -1,53 +1,12 @@
 //! Times, rotation and damage, compared with what the `ffmpeg` and `ffprobe` programs say. Skipped where they are absent.
-#![expect(clippy::unwrap_used, clippy::print_stderr, reason = "helpers of tests")]
+#![expect(clippy::unwrap_used, reason = "helpers of tests")]
+
+mod common;
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
+use common::{ffmpeg, has_ffmpeg, our_times, true_times};
 use risorius_video::Reader;
-
-fn has_ffmpeg() -> bool {
-    let found = ["ffmpeg", "ffprobe"]
-        .iter()
-        .all(|p| Command::new(p).arg("-version").output().is_ok_and(|o| o.status.success()));
-    if !found {
-        eprintln!("SKIPPED: `ffmpeg` and `ffprobe` not found");
-    }
-    found
-}
-
-fn ffmpeg(args: &str, out: &Path) {
-    let output =
-        Command::new("ffmpeg").args(["-v", "error", "-y"]).args(args.split_whitespace()).arg(out).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-}
-
-/// Seconds since the first frame, by ffprobe.
-fn true_times(path: &Path) -> Vec<f64> {
-    let args = [
-        "-v",
-        "error",
-        "-select_streams",
-        "v:0",
-        "-show_entries",
-        "frame=best_effort_timestamp_time",
-        "-of",
-        "csv=p=0",
-    ];
-    let output = Command::new("ffprobe").args(args).arg(path).output().unwrap();
-    let text = String::from_utf8(output.stdout).unwrap();
-    let times: Vec<f64> = text.lines().filter_map(|l| l.trim_end_matches(',').parse().ok()).collect();
-    times.iter().map(|t| t - times[0]).collect()
-}
-
-fn our_times(path: &Path) -> Vec<f64> {
-    let mut reader = Reader::open(path).unwrap();
-    let mut times = Vec::new();
-    while let Some(frame) = reader.next_frame().unwrap() {
-        times.push(frame.timestamp_nanos as f64 * 1e-9);
-    }
-    times
-}
 
 fn compare(path: &Path, tolerance_secs: f64) {
     let (ours, truth) = (our_times(path), true_times(path));
@@ -84,7 +43,6 @@ fn times_are_those_of_ffprobe() {
     {
         compare(&path(name), 1e-6);
     }
-    // No index is read here: OpenCV's times, the last two continued by the last interval.
     ffmpeg(&format!("{source} -c:v libx264 -bf 2"), &path("matroska.mkv"));
     compare(&path("matroska.mkv"), 2e-3);
 }
@@ -126,19 +84,18 @@ fn turned_and_mirrored_videos_are_shown_as_ffmpeg_does() {
     for (matrix, rotation) in matrices {
         let turned = dir.path().join("turned.mp4");
         set_matrix(&stored, &turned, matrix);
-        let shown = dir.path().join("shown.png");
-        ffmpeg(&format!("-i {} -frames:v 1", turned.display()), &shown);
-        let shown = image::open(&shown).unwrap().into_rgb8();
+        ffmpeg(&format!("-i {} -frames:v 2", turned.display()), &dir.path().join("shown%d.png"));
+        let shown = |n| image::open(dir.path().join(format!("shown{n}.png"))).unwrap().into_rgb8();
         let mut reader = Reader::open(&turned).unwrap();
         let info = reader.info().clone();
         let first = reader.next_frame().unwrap().unwrap().image;
         assert_eq!(
             (first.dimensions(), (info.width, info.height), info.rotation_degrees),
-            (shown.dimensions(), shown.dimensions(), rotation)
+            (shown(1).dimensions(), shown(1).dimensions(), rotation)
         );
         // The second frame takes another path than the first, which is read at opening.
         let second = reader.next_frame().unwrap().unwrap().image;
-        for (name, image) in [("first", &first), ("second", &second)] {
+        for (name, image, shown) in [("first", &first, shown(1)), ("second", &second, shown(2))] {
             let difference =
                 image.as_raw().iter().zip(shown.as_raw()).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>();
             let mean = difference / shown.as_raw().len() as f64;

@@ -1,4 +1,4 @@
-//! Fragmented files written here are decoded by FFmpeg through OpenCV, whole or cut.
+//! Fragmented files written here are decoded by FFmpeg, whole or cut.
 #![expect(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::fs::{self, File};

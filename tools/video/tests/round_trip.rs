@@ -42,7 +42,6 @@ fn frames_come_back_in_order_with_their_times_and_colours() {
     for i in 0..30 {
         let frame = reader.next_frame().unwrap().unwrap();
         assert_eq!(frame.index, i);
-        // The last frames too: OpenCV alone says 0 there.
         let expected = f64::from(i) * 1e9 / 120.0;
         assert!((frame.timestamp_nanos as f64 - expected).abs() < 1e5, "frame {i} at {}", frame.timestamp_nanos);
         assert!((number_of(&frame.image) - f64::from(i)).abs() < 0.5, "frame {i} is {}", number_of(&frame.image));
@@ -161,4 +160,29 @@ fn an_odd_or_broken_image_is_named() {
     assert!(odd.ends_with("2.png: is 41×30 pixels, but the first frame has 40×30"), "{odd}");
     let broken = reader.next_frame().unwrap_err().to_string();
     assert!(broken.contains("3.png: is not a readable image"), "{broken}");
+}
+
+#[test]
+fn a_written_video_has_the_pictures_that_went_in() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("v.mp4");
+    // Smooth, as faces are, with a saturated patch and an edge.
+    let picture = |i: u32| {
+        RgbImage::from_fn(160, 120, |x, y| {
+            let shade = 40.0 * (f64::from(x + 3 * i) / 25.0).sin() + 30.0 * (f64::from(y) / 18.0).cos();
+            let base = if x > 90 && y > 60 { [200.0, 70.0, 60.0] } else { [150.0, 120.0, 100.0] };
+            Rgb(base.map(|b| (b + shade).clamp(0.0, 255.0) as u8))
+        })
+    };
+    let mut writer = Writer::create(&path, 160, 120, 30.0).unwrap();
+    (0..10).for_each(|i| writer.push(&picture(i)).unwrap());
+    writer.finish().unwrap();
+    let mut reader = Reader::open(&path).unwrap();
+    assert_eq!(reader.info().coding, "yuv420p, BT.709, limited range");
+    for i in 0..10 {
+        let frame = reader.next_frame().unwrap().unwrap().image;
+        let sum: f64 = frame.as_raw().iter().zip(picture(i).as_raw()).map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
+        let mean = sum / frame.as_raw().len() as f64;
+        assert!(mean < 2.0, "frame {i} differs by {mean} levels");
+    }
 }

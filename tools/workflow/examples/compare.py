@@ -28,7 +28,7 @@ def main():
     found = {}
     for engine in args.only.split(","):
         if importlib.util.find_spec(ENGINES[engine]) is None:
-            print(f"SKIPPED {engine}: `pip install {ENGINES[engine]}`", file=sys.stderr)
+            print(f"SKIPPED {engine}: `{ENGINES[engine]}` is not installed in {sys.executable}; see docs/corpora.md", file=sys.stderr)
             continue
         done = subprocess.run([sys.executable, HERE / f"with_{engine}.py", args.corpus], stdout=subprocess.PIPE, text=True)
         if done.returncode:

@@ -37,7 +37,7 @@ def answers(corpus):
     for table in ("aus", "metrics", "datasets"):
         db.execute(f"""
             create view {table} as select * from read_parquet('{corpus}/tables/{table}/**/*.parquet',
-                hive_partitioning = true, hive_types = {{'subject': varchar, 'take': varchar}}, union_by_name = true)
+                hive_partitioning = true, union_by_name = true)
         """)
     rows = lambda sql: (lambda r: [dict(zip([c[0] for c in r.description], row)) for row in r.fetchall()])(db.execute(sql))  # noqa: E731
     return {"aus": rows(AUS), "worst": rows(WORST), "drift": rows(DRIFT)}

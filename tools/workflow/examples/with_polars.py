@@ -12,10 +12,7 @@ import polars as pl
 
 def scan(corpus, table):
     """A table, lazily: only the columns and files that a question needs are read."""
-    partitions = {"subject": pl.String, "take": pl.String}
-    return pl.scan_parquet(
-        f"{corpus}/tables/{table}/**/*.parquet", hive_partitioning=True, hive_schema=partitions, missing_columns="insert"
-    )
+    return pl.scan_parquet(f"{corpus}/tables/{table}/**/*.parquet", hive_partitioning=True, missing_columns="insert")
 
 
 def aus(corpus):

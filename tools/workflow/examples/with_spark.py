@@ -55,8 +55,6 @@ def main():
         .config("spark.driver.bindAddress", "127.0.0.1")
         .config("spark.driver.host", "127.0.0.1")
         .config("spark.sql.shuffle.partitions", "4")
-        # A subject called 007 is not the number 7.
-        .config("spark.sql.sources.partitionColumnTypeInference.enabled", "false")
         .getOrCreate()
     )
     session.sparkContext.setLogLevel("ERROR")

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use risorius_console::{Console, Failure};
 
 use crate::check::{self, PoseErrors, Reference};
+use crate::poses::Numbering;
 use crate::preview;
 
 /// How good the track and the poses are
@@ -24,9 +25,9 @@ pub(super) struct CheckArgs {
     /// A COLMAP model to compare the poses with
     #[arg(long, value_name = "DIR")]
     reference: Option<PathBuf>,
-    /// Number of the take's first frame in the reference's image names
-    #[arg(long, value_name = "N", default_value_t = 0, requires = "reference")]
-    reference_first: u32,
+    /// Number of the take's first frame in the reference's image names [default: what fits the landmarks]
+    #[arg(long, value_name = "N", requires = "reference")]
+    reference_first: Option<u32>,
     /// Draw landmarks, mean face and head hull on a spread of frames into this folder
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
@@ -39,7 +40,8 @@ pub(super) struct CheckArgs {
 }
 
 pub(super) fn run(args: &CheckArgs, console: &Console) -> Result<(), Failure> {
-    let reference = args.reference.as_ref().map(|dir| Reference { dir: dir.clone(), first: args.reference_first });
+    let numbering = Numbering { first: args.reference_first, ..Numbering::default() };
+    let reference = args.reference.as_ref().map(|dir| Reference { dir: dir.clone(), numbering });
     let report = check::check(&args.take, reference.as_ref(), console)?;
     if let Some(out) = &args.pictures {
         preview::draw(&args.take, out, args.count, console)?;

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use risorius_console::{AgainArgs, Console, Failure, Stage};
+use risorius_formats::TableScale;
 use risorius_formats::openface::FaceChoice;
 use serde::Deserialize;
 use serde_json::json;
@@ -12,10 +13,13 @@ use crate::import::{self, ImportOptions, MIN_CONFIDENCE};
 
 /// Take the track from an OpenFace table
 ///
-/// Takes tables of any OpenFace version. Rows are matched to frames by their number, and frames whose row has `success` 0
+/// Takes tables of any OpenFace version; semicolons, decimal commas between them and other scales of the AUs are converted,
+/// and said. Rows are matched to frames by their number, and frames whose row has `success` 0
 /// or too little confidence are lost. Writes TAKE/track/openface.csv and TAKE/track/track.parquet.
 #[derive(clap::Args, Debug)]
-#[command(after_help = "Example:\n  tracker import takes/ada --openface ada.csv")]
+#[command(
+    after_help = "Examples:\n  tracker import takes/ada --openface ada.csv\n  tracker import takes/ada --openface probabilities.csv --au-scale 1"
+)]
 pub(super) struct ImportArgs {
     /// The take
     take: PathBuf,
@@ -31,6 +35,10 @@ pub(super) struct ImportArgs {
     /// Rows below this confidence are lost, 0–1 [default: 0.8]
     #[arg(long, value_name = "SHARE")]
     min_confidence: Option<f32>,
+    /// Largest value of the scale of the table's AUs: 1 for probabilities, 5 for OpenFace, 100 for percent [default: as
+    /// the values tell]
+    #[arg(long, value_name = "N")]
+    au_scale: Option<TableScale>,
     #[command(flatten)]
     again: AgainArgs,
 }
@@ -66,11 +74,13 @@ pub(super) fn run(args: &ImportArgs, console: &Console) -> Result<(), Failure> {
         first_frame: args.first_frame.or(settings.first_frame),
         face,
         min_confidence,
+        scale: args.au_scale,
     };
     let asked = json!({
         "first_frame": options.first_frame,
         "first_face": matches!(options.face, FaceChoice::First),
         "min_confidence": min_confidence,
+        "au_scale": options.scale.map(TableScale::largest),
     });
     let track = args.take.join("track");
     super::need_take(&args.take)?;

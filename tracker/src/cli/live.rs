@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use risorius_console::{Console, Failure};
-use risorius_formats::{FormatError, Take};
+use risorius_formats::FormatError;
 use serde::Deserialize;
 
 use super::above_zero;
@@ -83,7 +83,7 @@ fn number(device: &str) -> Option<i32> {
 pub(super) fn run(args: &LiveArgs, console: &Console) -> Result<(), Failure> {
     let settings: Settings = risorius_console::settings("tracker-live")?;
     let source = if let Some(input) = &args.input {
-        let video = if input.join("take.toml").is_file() { Take::open(input)?.media_path() } else { input.clone() };
+        let video = input.clone();
         if args.every_frame { LiveSource::EveryFrame(video) } else { LiveSource::Video(video) }
     } else {
         let device = args.device.clone().or(settings.device).unwrap_or_else(|| "0".to_owned());

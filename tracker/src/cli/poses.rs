@@ -13,7 +13,7 @@ use crate::import::MIN_CONFIDENCE;
 use crate::poses::colmap::{ColmapOptions, MaskFace};
 use crate::poses::head::{HeadOptions, SMOOTH_SECS};
 use crate::poses::interpolate::MAX_GAP_SECS;
-use crate::poses::{self, PosesOptions, Source};
+use crate::poses::{self, Numbering, PosesOptions, Source};
 
 /// Find the camera of every frame
 ///
@@ -26,6 +26,7 @@ use crate::poses::{self, PosesOptions, Source};
 #[command(after_help = "Examples:
   tracker poses takes/ada
   tracker poses takes/ada --colmap-model ada-colmap/sparse/0
+  tracker poses takes/ada --colmap-model ada-colmap/sparse/0 --colmap-first 1 --colmap-step 8
   tracker poses takes/bob --method head")]
 pub(super) struct PosesArgs {
     /// The take
@@ -36,9 +37,16 @@ pub(super) struct PosesArgs {
     /// Take this COLMAP model (a folder with cameras, images and points3D, or one above it) instead of running COLMAP
     #[arg(long, value_name = "DIR")]
     colmap_model: Option<PathBuf>,
-    /// Number of the take's first frame in the model's image names [default: 0]
+    /// Number of the take's first frame in the model's image names [default: what fits the landmarks]
     #[arg(long, value_name = "N", requires = "colmap_model")]
     colmap_first: Option<u32>,
+    /// Frames of the take from one number in the model's image names to the next, such as 8 where every eighth was
+    /// extracted [default: what fits the landmarks]
+    #[arg(long, value_name = "N", requires = "colmap_model")]
+    colmap_step: Option<f64>,
+    /// Take only images of this folder of the model, where it holds several captures [default: what fits the landmarks]
+    #[arg(long, value_name = "NAME", requires = "colmap_model")]
+    colmap_folder: Option<String>,
     /// Key frames that COLMAP gets [default: one per 0.5 s, 40 to 80]
     #[arg(long, value_name = "N")]
     keyframes: Option<usize>,
@@ -60,7 +68,7 @@ pub(super) struct PosesArgs {
     /// Keep COLMAP's pictures and database in TAKE/.poses-work
     #[arg(long)]
     keep_work: bool,
-    /// Take the result even if it is of low quality
+    /// Take the result even if it is of low quality, or worse than the poses that the take has
     #[arg(long)]
     accept_poor: bool,
     /// Millimetres between the person's pupils: the world becomes metres (63 is usual)
@@ -118,7 +126,7 @@ pub(super) fn run(args: &PosesArgs, console: &Console) -> Result<(), Failure> {
         return Err(Failure::usage("`--colmap-model` and `--method head` exclude each other"));
     }
     let source = if let Some(dir) = &args.colmap_model {
-        Source::Model { dir: dir.clone(), first: args.colmap_first.unwrap_or(0) }
+        Source::Model { dir: dir.clone(), numbering: numbering(args)? }
     } else {
         match args.method.or(settings.method).unwrap_or(MethodArg::Auto) {
             MethodArg::Auto => Source::Auto(colmap_options(args, &settings)?, head_options(args, &settings)?),
@@ -143,8 +151,8 @@ pub(super) fn run(args: &PosesArgs, console: &Console) -> Result<(), Failure> {
     super::need_take(&args.take)?;
     // The options hold where a model lies, which is no setting: its contents are an input.
     let asked = match &options.source {
-        Source::Model { first, .. } => {
-            let source = Source::Model { dir: PathBuf::new(), first: *first };
+        Source::Model { numbering, .. } => {
+            let source = Source::Model { dir: PathBuf::new(), numbering: numbering.clone() };
             format!("{:?}", PosesOptions { source, ..options.clone() })
         }
         _ => format!("{options:?}"),
@@ -160,6 +168,13 @@ pub(super) fn run(args: &PosesArgs, console: &Console) -> Result<(), Failure> {
     let human = format!("{}\nwritten to    {}", in_words(&report), args.take.join("poses").display());
     console.finish(&report, &human);
     Ok(())
+}
+
+fn numbering(args: &PosesArgs) -> Result<Numbering, Failure> {
+    if args.colmap_step.is_some_and(|s| !(s.is_finite() && s > 0.0)) {
+        return Err(Failure::usage("`--colmap-step` has to be a positive number of frames"));
+    }
+    Ok(Numbering { first: args.colmap_first, step: args.colmap_step, folder: args.colmap_folder.clone() })
 }
 
 /// Whether a file belongs to a COLMAP model, wherever it lies in the folder that was named.

@@ -231,7 +231,7 @@ fn a_missing_program_is_found_out_before_any_work() {
     let (result, _) = stage.run_program("no-such-colmap-here".into(), None, &Collected::default());
     let error = result.unwrap_err();
     assert!(matches!(error, TrackerError::ColmapMissing { .. }), "{error}");
-    assert!(error.hint().unwrap().contains("apt install colmap"));
+    assert!(error.hint().unwrap().contains("apt-get install colmap"));
     assert!(!stage.dir.path().join("work/images").exists());
     // A file that is no program.
     let text = stage.dir.path().join("text");

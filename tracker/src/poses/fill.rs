@@ -43,7 +43,7 @@ pub(super) fn follow_frames(
     let poses = placed.model.poses();
     let spread = if sharpened.is_some() { joint::SPREAD } else { 0 };
     let keep = joint::spread(take.frames.len(), &poses, spread);
-    let mut followed = follow.run(&poses, &take.media_path(), &keep, reporter)?;
+    let mut followed = follow.run(&poses, take, &keep, reporter)?;
     let mut errors: Vec<f64> = followed.errors_px.values().copied().collect();
     placed.notes.push(format!(
         "{} frames placed by patches of the nearest key frames: median error {:.2} px; {} not found, {} stood out",

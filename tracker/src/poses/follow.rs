@@ -10,12 +10,11 @@ mod again;
 mod outliers;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 use std::sync::mpsc::sync_channel;
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
-use risorius_formats::{FrameRecord, Intrinsics, Isometry, Reporter};
+use risorius_formats::{FrameRecord, Intrinsics, Isometry, Reporter, Take};
 use risorius_video::{Reader, VideoError};
 
 use super::interpolate::interpolate;
@@ -167,7 +166,7 @@ impl<'a> Follow<'a> {
     pub(crate) fn run(
         &self,
         placed: &BTreeMap<u32, Isometry>,
-        video: &Path,
+        take: &Take,
         keep: &BTreeSet<u32>,
         reporter: &dyn Reporter,
     ) -> Result<Followed> {
@@ -181,7 +180,7 @@ impl<'a> Follow<'a> {
             let decode = std::thread::Builder::new()
                 .name("decode".to_owned())
                 .spawn_scoped(scope, move || -> Result<(), VideoError> {
-                    let mut reader = Reader::open(video)?;
+                    let mut reader = Reader::open_take(take)?;
                     for (index, _) in self.frames.iter().enumerate() {
                         if placed.contains_key(&(index as u32)) {
                             if !reader.skip_frame()? {

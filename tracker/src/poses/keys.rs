@@ -39,7 +39,7 @@ pub fn read(take: &Take, track: &Track, options: &ColmapOptions, reporter: &dyn 
     }
     let mut read = Keys { pictures: BTreeMap::new(), reduced: BTreeMap::new(), outlines: outlines(track, &keys) };
     reporter.stage("key frames", Some(keys.len() as u64));
-    risorius_video::read_frames(take.media_path(), &keys, |frame, picture| -> Result<()> {
+    risorius_video::read_take_frames(take, &keys, |frame, picture| -> Result<()> {
         if reporter.cancelled() {
             return Err(TrackerError::Cancelled { doing: "extracting key frames".into() });
         }

@@ -20,12 +20,14 @@ mod joint;
 pub mod keyframes;
 pub mod keys;
 pub mod mask;
+mod matching;
 pub mod model;
 mod patch;
 mod picture;
 mod program;
 mod quality;
 mod refine;
+mod replace;
 mod sharpen;
 mod sketch;
 mod skin;
@@ -50,6 +52,7 @@ use self::colmap::ColmapOptions;
 use self::depths::Head;
 use self::head::HeadOptions;
 use self::keys::Keys;
+pub use self::matching::Numbering;
 use self::model::TakeModel;
 use self::picture::Picture;
 use self::sketch::Shown;
@@ -68,8 +71,8 @@ pub enum Source {
     Model {
         /// Its folder, or one above it.
         dir: PathBuf,
-        /// The number of the take's first frame in its image names.
-        first: u32,
+        /// What is known of the numbers in its image names.
+        numbering: Numbering,
     },
     /// A still camera; the head moves.
     Head(HeadOptions),
@@ -137,11 +140,11 @@ pub fn find(take_dir: impl AsRef<Path>, options: &PosesOptions, reporter: &dyn R
         metric = true;
     }
     let mut report = report(&placed, head, hull, metric, &take, started)?;
-    let side = take.manifest.width.max(take.manifest.height);
-    let problems = quality::problems(&report, side, placed.focal_share);
+    let sizes = quality::Sizes::of(&take, &track, options.min_confidence);
+    let problems = quality::problems(&report, sizes, placed.focal_share);
     report.problems = problems.iter().map(|p| p.what.clone()).collect();
     if !problems.is_empty() {
-        if placed.method != PoseMethod::ColmapModel && !options.accept_poor {
+        if !options.accept_poor {
             keep_log(&take, folder.path());
             return Err(TrackerError::PoorPoses {
                 problems: report.problems.join("; "),
@@ -152,6 +155,7 @@ pub fn find(take_dir: impl AsRef<Path>, options: &PosesOptions, reporter: &dyn R
             reporter.warn(Warning::new("poor-poses", problem.clone()));
         }
     }
+    replace::check(&take, &report, options.accept_poor, reporter)?;
     colmap_format::write_text(folder.path().join("sparse"), &placed.model.to_colmap())?;
     if let Some(svg) = picture_of(&report, &placed.model, &track, &take) {
         atomic::write_file(folder.path().join("report.svg"), svg.as_bytes())?;
@@ -193,7 +197,7 @@ fn picture_of(report: &PoseReport, model: &TakeModel, track: &Track, take: &Take
         model.frames.iter().find(|(_, f)| !f.points.is_empty()).or(model.frames.iter().next()).map(|(f, _)| *f)?;
     let mut picture = None;
     // The drawing is an extra: it must not fail the work.
-    let _ = risorius_video::read_frames(take.media_path(), &[shown], |_, image| -> Result<()> {
+    let _ = risorius_video::read_take_frames(take, &[shown], |_, image| -> Result<()> {
         picture = Some(image);
         Ok(())
     });
@@ -238,10 +242,12 @@ impl Placed {
 
 fn place(take: &Take, track: &Track, options: &PosesOptions, folder: &Path, reporter: &dyn Reporter) -> Result<Placed> {
     match &options.source {
-        Source::Model { dir, first } => {
+        Source::Model { dir, numbering } => {
             reporter.stage("read the model", None);
-            let found = model::load(dir, take, *first, reporter)?;
+            let track = Some((track, options.min_confidence));
+            let found = model::load_foreign(dir, take, track, numbering, reporter)?;
             let mut notes = vec![format!("took {} of {} sub-models", found.dir.display(), found.candidates)];
+            notes.extend(found.notes);
             if found.foreign_images > 0 {
                 let message = format!(
                     "{} images of the model belong to no frame of the take and were left out",

@@ -68,7 +68,7 @@ fn write_model(dir: &Path, frames: impl Iterator<Item = u32>) {
 
 fn options(dir: PathBuf) -> PosesOptions {
     PosesOptions {
-        source: Source::Model { dir, first: 0 },
+        source: Source::Model { dir, numbering: Numbering::default() },
         min_confidence: 0.8,
         max_gap_secs: interpolate::MAX_GAP_SECS,
         accept_poor: false,

@@ -20,7 +20,7 @@ try:
     import numpy
     import pycolmap
 except ImportError as error:
-    fail(f"{error}; `{sys.executable} -m pip install pycolmap` brings it")
+    fail(f"{error}; `python3 -m venv venv` and `venv/bin/pip install pycolmap` bring it, then `--colmap venv/bin/python`")
 
 #: From 3.13 on there are other features than SIFT, and what all share is in options of its own.
 SHARED = hasattr(pycolmap, "FeatureExtractionOptions")

@@ -104,8 +104,7 @@ pub(crate) fn refine(
     };
     write_back(&mut model, 1, &frames, &known, &scene);
     let Some(follow) = Follow::new(&model, pictures, &take.frames, |_, _| false) else { return Ok(None) };
-    let Followed { poses: mut found, .. } =
-        follow.run(&model.poses(), &take.media_path(), &BTreeSet::new(), reporter)?;
+    let Followed { poses: mut found, .. } = follow.run(&model.poses(), take, &BTreeSet::new(), reporter)?;
     // Where the tracker saw no face there is none.
     found.retain(|f, _| poses.contains_key(f));
     found.extend(model.poses());

@@ -1,10 +1,10 @@
 //! The frames to be tracked, decoded on a thread of their own while the networks run.
 
-use std::path::Path;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::{Builder, Scope, ScopedJoinHandle};
 
 use image::RgbImage;
+use risorius_formats::Take;
 use risorius_video::{Reader, VideoError};
 
 use super::follow::BLOCK;
@@ -30,13 +30,13 @@ pub type Decoder<'scope> = (Receiver<Block>, ScopedJoinHandle<'scope, Result<(),
 /// `last` is the number of the video's last frame; the thread ends early when the receiver is gone.
 pub fn decode<'scope>(
     scope: &'scope Scope<'scope, '_>,
-    path: &'scope Path,
+    take: &'scope Take,
     every: u32,
     last: u32,
 ) -> Result<Decoder<'scope>> {
     let (sender, receiver) = sync_channel(WAITING);
     let work = move || {
-        let mut reader = Reader::open(path)?;
+        let mut reader = Reader::open_take(take)?;
         let mut block = Block { frames: Vec::new(), pictures: Vec::new() };
         for index in 0..=last {
             let wanted = index % every == 0 || index == last;

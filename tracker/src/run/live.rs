@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use image::RgbImage;
 use risorius_formats::au::OPENFACE_INTENSITIES;
-use risorius_formats::{FormatError, FrameIndex, Reporter, Track};
+use risorius_formats::{FormatError, FrameIndex, Reporter, Take, Track};
 use risorius_video::{Camera, Reader};
 use serde::Serialize;
 
@@ -257,16 +257,13 @@ fn take_pictures(source: &LiveSource, exchange: &Exchange) -> Result<()> {
         LiveSource::Camera { number, size, fps } => {
             let gone = |what: &str| TrackerError::Camera { number: *number, what: what.to_owned() };
             let mut camera = Camera::open(*number).ok_or_else(|| gone("cannot be opened"))?;
-            let (width, height, _) = camera.start(size.0, size.1, *fps);
-            let (mut bytes, began) = (Vec::new(), Instant::now());
+            camera.start(size.0, size.1, *fps);
+            let began = Instant::now();
             for index in 0.. {
-                if !camera.grab(&mut bytes) {
+                let Some(image) = camera.grab() else {
                     return Err(gone(if index == 0 { "gives no pictures" } else { "gives no more pictures" }));
-                }
+                };
                 let arrived = Instant::now();
-                bytes.chunks_exact_mut(3).for_each(|pixel| pixel.swap(0, 2));
-                let image = RgbImage::from_raw(width, height, std::mem::take(&mut bytes))
-                    .ok_or_else(|| gone("gives pictures of another size than it says"))?;
                 let secs = arrived.duration_since(began).as_secs_f64();
                 if !exchange.offer(Picture { index, arrived, secs, image }, false) {
                     break;
@@ -276,7 +273,8 @@ fn take_pictures(source: &LiveSource, exchange: &Exchange) -> Result<()> {
         }
         LiveSource::Video(path) | LiveSource::EveryFrame(path) => {
             let in_time = matches!(source, LiveSource::Video(_));
-            let mut reader = Reader::open(path)?;
+            let is_take = path.join("take.toml").is_file();
+            let mut reader = if is_take { Reader::open_take(&Take::open(path)?)? } else { Reader::open(path)? };
             let mut began = None;
             while let Some(frame) = reader.next_frame()? {
                 let secs = frame.timestamp_nanos as f64 * 1e-9;

@@ -184,13 +184,12 @@ fn first_pass(
     path: &Path,
     reporter: &dyn Reporter,
 ) -> Result<Recording> {
-    let media = take.media_path();
     let last = (take.frames.len() as u32).saturating_sub(1);
     let features = follower.au_model().map_or(FEATURES, |m| m.units.len());
     let mut recorder = Recorder::create(path, features)?;
     let mut seen = 0;
     std::thread::scope(|scope| -> Result<()> {
-        let (blocks, decoder) = decode(scope, &media, every, last)?;
+        let (blocks, decoder) = decode(scope, take, every, last)?;
         for Block { frames, pictures } in &blocks {
             if reporter.cancelled() {
                 return Err(TrackerError::Cancelled { doing: "tracking".to_owned() });
@@ -213,7 +212,7 @@ fn first_pass(
             "video-shorter",
             format!(
                 "{}: ends after {seen} of {expected} frames to be tracked; the rest count as lost",
-                media.display()
+                take.media_path().display()
             ),
         ));
         for _ in seen..expected {

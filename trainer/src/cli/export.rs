@@ -33,6 +33,8 @@ pub(super) struct ExportArgs {
     #[arg(long, value_name = "FILE.csv")]
     curves: Option<PathBuf>,
     #[command(flatten)]
+    curve_options: super::curves::CurvesArgs,
+    #[command(flatten)]
     device: DeviceArgs,
 }
 
@@ -41,10 +43,11 @@ pub(super) fn run(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     if !args.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb")) {
         return Err(Failure::usage("the file's name has to end in `.glb`"));
     }
+    let curve_options = args.curve_options.options()?;
     let driver = args
         .curves
         .as_ref()
-        .map(|path| Driver::of_table(path, risorius_formats::smooth::WINDOW_SECS, console))
+        .map(|path| Driver::of_table(path, &curve_options, risorius_formats::smooth::WINDOW_SECS, console))
         .transpose()?;
     let avatar = Avatar::open(&args.run, &args.device.device()?)?;
     let settings = ExportSettings {

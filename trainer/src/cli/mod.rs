@@ -1,5 +1,6 @@
 //! Glue between the command line and the library: what was typed becomes settings, results become text or JSON.
 
+mod curves;
 mod devices;
 mod eval;
 mod export;

@@ -49,6 +49,8 @@ pub(super) struct RenderArgs {
     /// AU curves over time, as CSV
     #[arg(long, value_name = "FILE.csv", conflicts_with_all = ["au", "preset"])]
     curves: Option<PathBuf>,
+    #[command(flatten)]
+    curve_options: super::curves::CurvesArgs,
     /// A folder for the pictures
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -113,7 +115,8 @@ pub(super) fn run(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
     if let (Some(keys), Some(fps)) = (&mut keys, args.fps) {
         keys.fps = fps;
     }
-    let curves = args.curves.as_ref().map(|path| Driver::of_table(path, 0.0, console)).transpose()?;
+    let curve_options = args.curve_options.options()?;
+    let curves = args.curves.as_ref().map(|path| Driver::of_table(path, &curve_options, 0.0, console)).transpose()?;
     let avatar = Avatar::open(&args.run, &args.device.device()?)?;
     super::warn_if_unsteered(&avatar, console);
     let fps = keys.as_ref().map_or(args.fps.unwrap_or(15.0), |k| k.fps);

@@ -28,6 +28,8 @@ pub(super) struct TransferArgs {
     /// The driver: AU curves from an OpenFace, Live Link Face or plain table (`secs,AU12,…`)
     #[arg(long, value_name = "FILE.csv")]
     curves: Option<PathBuf>,
+    #[command(flatten)]
+    curve_options: super::curves::CurvesArgs,
     /// A video of the result
     #[arg(long, value_name = "OUT.mp4")]
     video: Option<PathBuf>,
@@ -92,7 +94,7 @@ pub(super) fn run(args: &TransferArgs, console: &Console) -> Result<(), Failure>
         (Some(take), _) => {
             Driver::of_take(Take::open(take)?, args.min_confidence.unwrap_or(0.8), smooth_secs, console)?
         }
-        (None, Some(path)) => Driver::of_table(path, smooth_secs, console)?,
+        (None, Some(path)) => Driver::of_table(path, &args.curve_options.options()?, smooth_secs, console)?,
         (None, None) => return Err(Failure::usage("no driver: give `--from TAKE` or `--curves FILE.csv`")),
     };
     let device = args.device.device()?;
@@ -146,6 +148,7 @@ fn begin(args: &TransferArgs, fps: f64, smooth_secs: f64, console: &Console) -> 
         "head": args.head,
         "alone": args.alone,
         "min_confidence": args.min_confidence,
+        "curves": format!("{:?}", args.curve_options),
         "names": names(&args.run),
         "video": args.video.is_some(),
     });

@@ -124,7 +124,7 @@ fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
         let used = plain::run(&cli.colmap, &take, pictures, &folder)?;
         // Its model as it is; the frames between are left to interpolation, as the recipe has nothing for them.
         let model = text(&used.model);
-        call("tracker", &words(&["poses", &take_text, "--colmap-model", &model, "--no-refine"]))?;
+        call("tracker", &words(&["poses", &take_text, "--colmap-model", &model, "--no-refine", "--accept-poor"]))?;
         let row = Row {
             wall_secs: used.wall_secs,
             cpu_secs: used.cpu_secs,

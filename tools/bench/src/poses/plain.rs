@@ -31,7 +31,7 @@ pub(crate) fn run(program: &Path, take: &Take, pictures: usize, folder: &Path) -
     let steps = pictures.max(2) - 1;
     let wanted: Vec<u32> = (0..=steps).map(|i| (i * last / steps) as u32).collect();
     let started = Instant::now();
-    risorius_video::read_frames(take.media_path(), &wanted, |frame, picture| -> Result<(), VideoError> {
+    risorius_video::read_take_frames(take, &wanted, |frame, picture| -> Result<(), VideoError> {
         let path = images.join(FrameIndex(frame).image_name());
         picture.save(&path).map_err(|e| FormatError::syntax(e.to_string()).in_file(&path))?;
         Ok(())

@@ -2,13 +2,15 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
-use crate::init::{LandmarkMotion, Seed};
+use crate::init::{LandmarkMotion, MouthSeeds, Seed};
 use crate::model::{DELTAS, EMPTY, Gaussians, LANES, Layout, REGIONS, channel};
 
 /// A landmark's weight at a distance d is (d² + this²)⁻², metres.
 const NEAR_M: f64 = 0.004;
 /// Its motion fades beyond this distance from the nearest landmark, metres.
 const FADE_M: f64 = 0.03;
+/// The landmarks of the chin.
+const CHIN: [usize; 3] = [7, 8, 9];
 /// An AU acts where more than this share of the masks hold the point, and fully from a quarter above.
 const GATE_FROM: f32 = 0.05;
 
@@ -77,7 +79,12 @@ pub(super) fn set(base: &mut [f32], slot: usize, c: usize, value: f32) {
 }
 
 /// Gaussians of the seeds.
-pub(super) fn model(layout: Layout, seeds: &[Seed], motion: Option<&LandmarkMotion>) -> Gaussians {
+pub(super) fn model(
+    layout: Layout,
+    seeds: &[Seed],
+    motion: Option<&LandmarkMotion>,
+    mouth: Option<&MouthSeeds>,
+) -> Gaussians {
     let means: Vec<[f32; 3]> = seeds.iter().map(|s| s.mean).collect();
     let flags: Vec<bool> = seeds.iter().map(|s| s.deformable).collect();
     let deformable = flags.iter().filter(|d| **d).count();
@@ -105,8 +112,12 @@ pub(super) fn model(layout: Layout, seeds: &[Seed], motion: Option<&LandmarkMoti
                 out.gates[(g * REGIONS + n) * LANES + lane] = gate(seed.regions[n]);
             }
         }
-        if let (true, Some(motion)) = (seed.deformable, motion) {
-            deltas_from_landmarks(&mut out, at, seed.mean, motion);
+        let Some(motion) = motion.filter(|_| seed.deformable) else { continue };
+        match mouth.filter(|m| m.all().contains(&(from as usize))) {
+            Some(m) if m.follows_jaw(from as usize) => deltas_of_jaw(&mut out, at, motion),
+            // Upper teeth and what is behind them stay with the head.
+            Some(_) => {}
+            None => deltas_from_landmarks(&mut out, at, seed.mean, motion),
         }
     }
     out
@@ -121,6 +132,22 @@ fn rotation_to(normal: [f32; 3]) -> [f32; 4] {
     [q.w, q.x, q.y, q.z].map(|v| v as f32)
 }
 
+/// Deltas of the mean: the chin's motion, that of the jaw.
+fn deltas_of_jaw(model: &mut Gaussians, at: usize, motion: &LandmarkMotion) {
+    for (k, deltas) in motion.deltas.iter().enumerate().take(model.layout.region_of.len()) {
+        for c in 0..3 {
+            let mean = CHIN.map(|l| deltas[l][c]).iter().sum::<f64>() / CHIN.len() as f64;
+            set_delta(model, at, k, c, mean);
+        }
+    }
+}
+
+/// Sets a delta of the mean; what is not finite is none.
+fn set_delta(model: &mut Gaussians, at: usize, k: usize, c: usize, value: f64) {
+    let row = (at / LANES * model.layout.bases() + k) * DELTAS + c;
+    model.deltas[row * LANES + at % LANES] = if value.is_finite() { value as f32 } else { 0.0 };
+}
+
 /// Deltas of the mean: the landmarks' motion nearby, fading away from the face.
 fn deltas_from_landmarks(model: &mut Gaussians, at: usize, mean: [f32; 3], motion: &LandmarkMotion) {
     let p = DVec3::from_array(mean.map(f64::from));
@@ -132,13 +159,10 @@ fn deltas_from_landmarks(model: &mut Gaussians, at: usize, mean: [f32; 3], motio
         sum += *w;
     }
     let fade = (-nearest / (FADE_M * FADE_M)).exp();
-    let bases = model.layout.bases();
     for (k, deltas) in motion.deltas.iter().enumerate().take(model.layout.region_of.len()) {
         for c in 0..3 {
             let d: f64 = weights.iter().zip(deltas).map(|(w, d)| w * d[c]).sum();
-            let value = d / sum * fade;
-            let row = (at / LANES * bases + k) * DELTAS + c;
-            model.deltas[row * LANES + at % LANES] = if value.is_finite() { value as f32 } else { 0.0 };
+            set_delta(model, at, k, c, d / sum * fade);
         }
     }
 }

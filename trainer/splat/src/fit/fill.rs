@@ -34,7 +34,7 @@ pub(super) fn fill(scene: &Scene<'_>, layout: &Layout, seeds: &mut Vec<Seed>, he
     let spread = |count: usize, of: usize| (0..count.min(of)).map(move |i| i * of / count.min(of).max(1));
     let views: Vec<usize> = spread(VIEWS, scene.frames.len()).collect();
     for round in 0..ROUNDS {
-        let drawn = model(layout.clone(), seeds, None);
+        let drawn = model(layout.clone(), seeds, None, None);
         let mut taken = BTreeSet::new();
         let mut more = Vec::new();
         for &i in views.iter().skip(round).step_by(ROUNDS) {
@@ -46,7 +46,7 @@ pub(super) fn fill(scene: &Scene<'_>, layout: &Layout, seeds: &mut Vec<Seed>, he
         }
         seeds.append(&mut more);
     }
-    let drawn = model(layout.clone(), seeds, None);
+    let drawn = model(layout.clone(), seeds, None, None);
     let (mut taken, mut more) = (BTreeSet::new(), Vec::new());
     for i in spread(WIDE_VIEWS, scene.frames.len()) {
         let mut camera = super::reduced(&scene.frames[i].camera, WIDE_REDUCE);

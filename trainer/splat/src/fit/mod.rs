@@ -110,7 +110,7 @@ impl Fitter {
 
     /// Begins a fit with given Gaussians.
     pub fn from_start(scene: &Scene<'_>, settings: Settings, start: Start, say: &dyn Fn(&str)) -> Self {
-        let Start { mut seeds, motion, head_poses, .. } = start;
+        let Start { mut seeds, motion, head_poses, mouth } = start;
         let layout = Layout {
             region_of: scene.region_of.clone(),
             regions: scene.regions,
@@ -119,7 +119,7 @@ impl Fitter {
         };
         fill::fill(scene, &layout, &mut seeds, &head_poses);
         say(&format!("{} Gaussians to begin with", seeds.len()));
-        let model = begin::model(layout, &seeds, motion.as_ref());
+        let model = begin::model(layout, &seeds, motion.as_ref(), mouth.as_ref());
         let images = PerImage::new(scene.frames.len(), scene.region_of.len());
         Self::assemble(model, images, settings, Progress::default(), head_poses)
     }

@@ -97,7 +97,7 @@ impl Default for Settings {
             refine_cameras: false,
             refine_head: true,
             pose_rate: [2e-4, 5e-5],
-            mask_every: 8,
+            mask_every: 32,
             mask_rate: 0.05,
             skips: Skips::default(),
         }

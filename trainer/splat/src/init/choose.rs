@@ -57,7 +57,7 @@ pub(crate) fn neighbours(reference: usize, pool: &[usize], poses: &[Isometry], c
         let aligned = from.rotation.row(2).dot(to.rotation.row(2)) > ALIGNED;
         // Along the optical axis there is little parallax.
         let across = baseline.truncate().length() / baseline.length().max(1e-12);
-        let useful = ratio >= BASELINES[0] && ratio <= BASELINES[1] && aligned && across > 0.5;
+        let useful = (BASELINES[0]..=BASELINES[1]).contains(&ratio) && aligned && across > 0.5;
         let worth = across / (1.0 + (ratio / BEST_BASELINE).ln().abs());
         (i != reference && useful).then(|| (i, baseline.truncate().normalize_or_zero(), worth))
     };

@@ -12,8 +12,8 @@ use crate::scene::{Scene, camera_from_head};
 const MASK_FRAMES: usize = 60;
 /// A point is in the face where more than this share of the masks that see it say so.
 const IN_FACE: f32 = 0.55;
-/// What is added to the face's box, metres.
-const MARGIN_M: f64 = 0.020;
+/// What is added to the face's box, radii of the face.
+const MARGIN: f64 = 0.2;
 
 /// The face's own axes: x to the image's right of a frontal picture, y down, z into the head; the origin is the scene's.
 #[derive(Clone, Copy, Debug)]
@@ -136,11 +136,12 @@ fn face_box(axes: &Axes, seeds: &[Seed]) -> Option<[DVec3; 2]> {
     if points.is_empty() {
         return None;
     }
+    let margin = MARGIN * axes.radius;
     let extent = |axis: usize| {
         let mut values: Vec<f64> = points.iter().map(|p| p[axis]).collect();
         values.sort_by(f64::total_cmp);
         let outer = values.len() / 100;
-        [values[outer] - MARGIN_M, values[values.len() - 1 - outer] + MARGIN_M]
+        [values[outer] - margin, values[values.len() - 1 - outer] + margin]
     };
     let [x, y, z] = [extent(0), extent(1), extent(2)];
     Some([DVec3::new(x[0], y[0], z[0]), DVec3::new(x[1], y[1], z[1])])

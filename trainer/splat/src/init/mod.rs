@@ -8,6 +8,7 @@ mod motion;
 mod mouth;
 mod rigid;
 mod shape;
+mod smooth;
 mod stereo;
 mod sway;
 mod sweep;
@@ -22,7 +23,7 @@ use risorius_formats::Isometry;
 use self::face::Axes;
 use self::fuse::Surfel;
 use self::stereo::{Part, Rig};
-use self::view::View;
+use self::view::{Undistortion, View};
 use crate::scene::Scene;
 
 pub use self::stereo::StereoSettings;
@@ -123,7 +124,7 @@ pub fn start(scene: &Scene<'_>, settings: &StartSettings, say: &dyn Fn(&str)) ->
     let cover = coverage::of(&seeds, &axes, rest);
     if cover < coverage::ENOUGH {
         say("the head's shape, because the views show too little of it");
-        let spacing = settings.stereo.head_voxel_m.max(axes.radius / 80.0);
+        let spacing = settings.stereo.head_voxel_m * (axes.radius / 0.1);
         let shape = shape::seeds(scene, &head_poses, &axes, rest, spacing);
         coverage::complete(&mut seeds, shape, &axes, cover);
     }
@@ -149,17 +150,19 @@ fn from_stereo(scene: &Scene<'_>, head_poses: &[Isometry], axes: &Axes, settings
     };
     let rigs: Vec<(Part, Rig)> = rigs.into_iter().filter_map(|(part, rig)| Some((part, rig?))).collect();
     let needed: std::collections::BTreeSet<usize> = rigs.iter().flat_map(|(_, r)| r.frames()).collect();
+    let lens = scene.frames.first().map(|f| Undistortion::new(&f.camera.intrinsics)).unwrap_or_default();
     let views: Vec<Option<View>> = (0..scene.frames.len())
         .into_par_iter()
-        .map(|i| if needed.contains(&i) { View::new(&scene.frames[i]) } else { None })
+        .map(|i| if needed.contains(&i) { View::new(&scene.frames[i], &lens) } else { None })
         .collect();
     let head = |at: DVec3| f64::from(axes.head_weight(at));
     let mut seeds = Vec::new();
     for (part, rig) in &rigs {
         let maps = rig.depth_maps(&views);
-        let surfels = rig.surfels(&maps, &head, settings);
+        let surfels = rig.surfels(&maps, &head, axes.radius, settings);
         seeds.extend(surfels.iter().map(|s| seed_of(s, axes)).filter(|s| match part {
-            Part::Head => s.head_weight > 0.5,
+            // The neck follows both: what one of them misses, the other shows.
+            Part::Head => s.head_weight > 0.2,
             Part::Room => s.head_weight <= 0.5,
             Part::Both => true,
         }));
@@ -181,3 +184,6 @@ fn seed_of(surfel: &Surfel, axes: &Axes) -> Seed {
         deformable: false,
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -199,7 +199,7 @@ impl Normal {
             // At rest a landmark is somewhere in the face.
             matrix[(i, i)] += if i < 3 { ridge(2.0 * radius) } else { ridge(DISPLACEMENT_M) };
         }
-        let right = DVector::from_iterator(n, self.right.iter().flat_map(|v| v.to_array()));
+        let right = DVector::from_iterator(n, self.right.iter().flat_map(DVec3::to_array));
         let x = matrix.cholesky()?.solve(&right);
         Some((0..self.bases).map(|i| DVec3::new(x[3 * i], x[3 * i + 1], x[3 * i + 2])).collect())
     }

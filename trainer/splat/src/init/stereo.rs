@@ -6,6 +6,7 @@ use risorius_formats::Isometry;
 
 use super::choose;
 use super::fuse::{self, DepthMap, Surfel};
+use super::smooth;
 use super::sweep::{self, Planes, Posed};
 use super::view::View;
 use crate::scene::Scene;
@@ -21,9 +22,9 @@ pub struct StereoSettings {
     pub neighbours: usize,
     /// Depths to try.
     pub planes: usize,
-    /// Smallest side of the voxels of the head.
+    /// Smallest side of the voxels of the head, for a face of 0.1 m radius.
     pub head_voxel_m: f64,
-    /// Smallest side of the voxels of the room.
+    /// Smallest side of the voxels of the room, likewise.
     pub room_voxel_m: f64,
     /// Seeds at most, about: where there are more, voxels grow.
     pub seeds: usize,
@@ -45,6 +46,8 @@ impl Default for StereoSettings {
 
 /// Share of frames that count as calm.
 const CALM: f64 = 0.2;
+/// Share of frames that are calm enough where more of the head's views are needed.
+const CALMER: f64 = 0.5;
 /// The smallest side of a voxel, pixels of the reduced pictures.
 const VOXEL_PX: f64 = 1.45;
 
@@ -119,8 +122,15 @@ impl Rig {
         if part != Part::Room {
             choice.views.extend(Choice::new(&calm, &poses, settings.head_views, n, face_distance).views);
         }
-        if part != Part::Head && !only_head {
+        if part == Part::Both && !only_head || part == Part::Room {
             choice.views.extend(Choice::new(&usable, &poses, settings.room_views, n, face_distance).views);
+        } else {
+            // Where no view of the room shows the head too, more of the head's are needed.
+            let calmer: Vec<usize> =
+                choose::smallest(&sums, CALMER, 4 * settings.head_views).into_iter().map(|k| usable[k]).collect();
+            let more = Choice::new(&calmer, &poses, settings.room_views * 2 / 3, n, face_distance).views;
+            let known: Vec<usize> = choice.views.iter().map(|v| v.0).collect();
+            choice.views.extend(more.into_iter().filter(|v| !known.contains(&v.0)));
         }
         Some(Self { poses, choice, face_distance, planes })
     }
@@ -145,11 +155,12 @@ impl Rig {
         maps
     }
 
-    /// The cloud of the maps; `head` tells how much a place belongs to the head, 0–1.
+    /// The cloud of the maps; `head` tells how much a place belongs to the head, 0–1; `radius` is the face's, metres.
     pub(crate) fn surfels(
         &self,
         maps: &[DepthMap<'_>],
         head: &(dyn Fn(DVec3) -> f64 + Sync),
+        radius: f64,
         settings: &StereoSettings,
     ) -> Vec<Surfel> {
         let points = fuse::agreed(maps, self.planes.step(), 2.0 * self.face_distance);
@@ -158,20 +169,22 @@ impl Rig {
         // Metres per metre of distance: voxels smaller than pixels stay empty.
         let pixels: Vec<f64> = maps.iter().map(|m| VOXEL_PX / m.view.focal.x.max(1.0)).collect();
         let pixel = pixels.iter().sum::<f64>() / pixels.len().max(1) as f64;
-        let mut factor = 1.0;
+        let (mut factor, mut growth) = (radius / 0.1, 1.0);
         let mut surfels = Vec::new();
         for _ in 0..4 {
             let voxel_at = |at: DVec3| {
                 let least = if head(at) > 0.5 { settings.head_voxel_m } else { settings.room_voxel_m };
-                factor * least.max(pixel * (at - toward).length())
+                (factor * least).max(growth * pixel * (at - toward).length())
             };
             let unit = factor * settings.head_voxel_m;
             surfels = fuse::in_voxels(&points, &voxel_at, unit, 2, toward);
             fuse::keep_opaque(&mut surfels, maps, self.planes.step());
+            surfels = smooth::smooth(&surfels);
             if surfels.len() <= settings.seeds * 11 / 10 {
                 break;
             }
-            factor *= (surfels.len() as f64 / settings.seeds as f64).sqrt();
+            let more = (surfels.len() as f64 / settings.seeds as f64).sqrt();
+            (factor, growth) = (more * factor, more * growth);
         }
         surfels
     }

@@ -75,7 +75,8 @@ fn swaying(
         let none = vec![[0.0; 6]; tracks.len()];
         (0..2).map(|odd| error(tracks, start, still, &none, |l| l % 2 != odd)).sum()
     };
-    if !(scores[best] < (1.0 - WORTH) * without) {
+    let worth = scores[best] < (1.0 - WORTH) * without;
+    if !worth {
         return None;
     }
     twists = smoothed(&corrections(tracks, start, &solution, &twists, |_| true), WINDOWS[best]);
@@ -97,7 +98,9 @@ fn moved(start: &[Isometry], twists: &[Twist]) -> Vec<Isometry> {
 fn center(twists: &mut [Twist]) {
     for k in 0..6 {
         let mean = twists.iter().map(|t| t[k]).sum::<f64>() / twists.len().max(1) as f64;
-        twists.iter_mut().for_each(|t| t[k] -= mean);
+        for twist in &mut *twists {
+            twist[k] -= mean;
+        }
     }
 }
 

@@ -130,6 +130,7 @@ impl<'a> Warp<'a> {
     /// Costs of row `y` of the reference at an inverse depth.
     #[inline(always)]
     #[allow(clippy::inline_always, reason = "it must be compiled for the instruction set of its caller")]
+    #[allow(clippy::needless_bitwise_bool, reason = "branches would keep the compiler from using vectors")]
     fn costs(&self, grey: &[f32], y: usize, inverse_depth: f32, costs: &mut [u16]) {
         let v = y as f32 + 0.5;
         let [mx, my, mz] = self.by_pixel;

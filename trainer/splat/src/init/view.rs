@@ -4,6 +4,7 @@
 //! below of each pixel in one word, so that a bilinear sample is one load; it is 0 where any of the four is invalid.
 
 use glam::{DVec2, DVec3};
+use rayon::prelude::*;
 use risorius_formats::Intrinsics;
 
 use crate::scene::Frame;
@@ -36,9 +37,43 @@ pub(crate) fn divisor(width: u32, height: u32) -> usize {
     (area / AREA).sqrt().round().clamp(1.0, 16.0) as usize
 }
 
+/// Where the full-size picture shows the centres of the pixels of a reduced pinhole picture.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Undistortion {
+    lens: Option<Intrinsics>,
+    /// Row by row; NaN where no pixel shows the direction.
+    places: Vec<DVec2>,
+}
+
+impl Undistortion {
+    /// Of one lens; nothing for a pinhole.
+    pub(crate) fn new(lens: &Intrinsics) -> Self {
+        if is_pinhole(lens) {
+            return Self::default();
+        }
+        let d = divisor(lens.width, lens.height);
+        let (width, height) = (lens.width as usize / d, lens.height as usize / d);
+        let by = 1.0 / d as f64;
+        let (focal, center) = (DVec2::new(lens.fx, lens.fy) * by, DVec2::new(lens.cx, lens.cy) * by);
+        let place = |i: usize| {
+            let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+            let ideal = (pixel - center) / focal;
+            let at = lens.project(ideal.extend(1.0));
+            // Beyond the fold of the lens model no pixel shows this direction.
+            let known = lens.unproject(at).is_some_and(|back| (back - ideal).length() < 1e-3);
+            if known { at } else { DVec2::NAN }
+        };
+        Self { lens: Some(*lens), places: (0..width * height).into_par_iter().map(place).collect() }
+    }
+}
+
+fn is_pinhole(lens: &Intrinsics) -> bool {
+    lens.distortion.is_none() && lens.skew == 0.0
+}
+
 impl View {
-    /// The reduced picture of a frame; `None` where the frame's picture is smaller than its camera says.
-    pub(crate) fn new(frame: &Frame<'_>) -> Option<Self> {
+    /// The reduced picture of a frame, by the undistortion of its lens if that is at hand; `None` where the frame's picture is smaller than its camera says.
+    pub(crate) fn new(frame: &Frame<'_>, undistortion: &Undistortion) -> Option<Self> {
         let lens = &frame.camera.intrinsics;
         let (full_width, full_height) = (lens.width as usize, lens.height as usize);
         let area = full_width.checked_mul(full_height)?;
@@ -58,10 +93,12 @@ impl View {
             packed: Vec::new(),
             rgb: vec![[0; 3]; width * height],
         };
-        if lens.distortion.is_none() && lens.skew == 0.0 {
+        if is_pinhole(lens) {
             view.reduce(frame, d);
+        } else if undistortion.lens == Some(*lens) {
+            view.undistort(frame, d, &undistortion.places);
         } else {
-            view.undistort(frame, d);
+            view.undistort(frame, d, &Undistortion::new(lens).places);
         }
         view.pack();
         Some(view)
@@ -90,17 +127,14 @@ impl View {
     }
 
     /// Means of d×d bilinear samples through the lens.
-    fn undistort(&mut self, frame: &Frame<'_>, d: usize) {
+    fn undistort(&mut self, frame: &Frame<'_>, d: usize, places: &[DVec2]) {
         let lens = &frame.camera.intrinsics;
         let share = (d * d) as f64;
         for y in 0..self.height {
             for x in 0..self.width {
-                let ideal = (DVec2::new(x as f64 + 0.5, y as f64 + 0.5) - self.center) / self.focal;
-                let at = lens.project(ideal.extend(1.0));
-                // Beyond the fold of the lens model no pixel shows this direction.
-                let known = lens.unproject(at).is_some_and(|back| (back - ideal).length() < 1e-3);
+                let at = places[y * self.width + x];
                 let mut sum = [0.0; 3];
-                let mut valid = known;
+                let mut valid = at.is_finite();
                 for k in 0..d * d {
                     let offset = DVec2::new((k % d) as f64, (k / d) as f64) - 0.5 * (d as f64 - 1.0);
                     match bilinear(frame, lens, at + offset).filter(|_| valid) {

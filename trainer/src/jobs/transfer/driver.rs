@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DQuat};
-use risorius_formats::curves::{CurveSource, interpolate};
+use risorius_formats::curves::{CurveOptions, CurveSource, interpolate};
 use risorius_formats::openface::{self, ReadOptions};
 use risorius_formats::{ActionUnit, Curves, ErrorKind, FormatError, Reporter, Take, Warning, smooth};
 
@@ -55,8 +55,8 @@ impl Driver {
     }
 
     /// The AUs of a table: OpenFace, Live Link Face, or plain.
-    pub fn of_table(path: &Path, smooth_secs: f64, reporter: &dyn Reporter) -> Result<Self> {
-        let curves = Curves::read(path, reporter)?;
+    pub fn of_table(path: &Path, options: &CurveOptions, smooth_secs: f64, reporter: &dyn Reporter) -> Result<Self> {
+        let curves = Curves::read_with(path, options, reporter)?;
         Self::new(&curves, None, curves.fps(), smooth_secs, path, reporter)
     }
 
