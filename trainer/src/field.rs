@@ -108,7 +108,7 @@ pub trait Field: Send + Sync {
 }
 
 /// Takes picture after picture of one field. A still camera with another expression draws anew what differs.
-pub trait FieldRenderer {
+pub trait FieldRenderer: Send {
     /// The picture of `camera`, every pixel.
     fn render(
         &mut self,
