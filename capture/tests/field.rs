@@ -15,7 +15,7 @@ use risorius_tests::shared;
 use risorius_video::Reader;
 
 /// Makes a take; gives it with the codes of the warnings.
-fn made(input: &Path, out: &Path) -> Result<(Take, Vec<String>), CaptureError> {
+fn made(input: &Path, out: &Path) -> Result<(Take, Vec<String>), Box<CaptureError>> {
     let options = RecordOptions { input: input.into(), out: out.into(), ..RecordOptions::default() };
     let said = Collected::default();
     record(&options, &said)?;
@@ -154,7 +154,7 @@ fn a_clip_on_its_side_is_turned_for_all_who_read_the_take() {
     let mut turned = Vec::new();
     risorius_video::read_take_frames(&take, &[0, 3], |_, image| {
         turned.push(image);
-        Ok::<(), CaptureError>(())
+        Ok::<(), risorius_video::VideoError>(())
     })
     .unwrap();
     assert!(turned[0] == image::imageops::rotate90(&stored) && turned.len() == 2);

@@ -3,6 +3,7 @@
 //! A row is made in single precision: the two nearest chroma rows are mixed and multiplied by the matrix at chroma
 //! resolution, the three results interpolated across, the luma added. Chroma is interpolated linearly from where its
 //! samples lie. Equations: ITU-T H.273, 8.3; [`Factors`] holds their numbers.
+#![allow(clippy::inline_always, reason = "the vectorised build of a caller has to take in all that it calls")]
 
 use std::marker::PhantomData;
 
@@ -102,14 +103,14 @@ impl<S: Sample> NullaryFnOnce for Run<'_, S> {
     #[inline(always)]
     fn call(self) {
         match (self.0.planes.layout.family, self.0.tone_map) {
-            (Family::Rgb, _) => self.0.from_rgb::<S>(),
-            (Family::Grey, None) => self.0.from_grey::<S>(&Sdr),
-            (Family::Grey, Some(map)) => self.0.from_grey::<S>(&Hdr(map)),
+            (Family::Rgb, _) => self.0.convert_rgb::<S>(),
+            (Family::Grey, None) => self.0.convert_grey::<S>(&Sdr),
+            (Family::Grey, Some(map)) => self.0.convert_grey::<S>(&Hdr(map)),
             (Family::Yuv { .. }, None) if S::BYTES == 1 && self.0.planes.layout.log2_across <= 1 => {
                 fast::run(self.0.planes, self.0.coding, &mut self.0.buffers.fast, self.0.out);
             }
-            (Family::Yuv { .. }, None) => self.0.from_yuv::<S>(&Sdr),
-            (Family::Yuv { .. }, Some(map)) => self.0.from_yuv::<S>(&Hdr(map)),
+            (Family::Yuv { .. }, None) => self.0.convert_yuv::<S>(&Sdr),
+            (Family::Yuv { .. }, Some(map)) => self.0.convert_yuv::<S>(&Hdr(map)),
         }
     }
 }
@@ -160,14 +161,18 @@ pub(crate) fn between(y: usize, log2: u32, siting: Siting, count: usize) -> (usi
 
 impl Job<'_> {
     #[inline(always)]
-    fn from_yuv<S: Sample>(self, emit: &impl Emit) {
+    fn convert_yuv<S: Sample>(self, emit: &impl Emit) {
         let Planes { width, height, layout, planes } = self.planes;
         let factors = Factors::new(self.coding.matrix, self.coding.full_range, layout.depth);
         let columns = width.div_ceil(1 << layout.log2_across);
         let rows = height.div_ceil(1 << layout.log2_down);
         let Buffers { mixed, narrow, wide, .. } = self.buffers;
-        mixed.iter_mut().chain(narrow.iter_mut()).for_each(|n| n.resize(columns, 0.0));
-        wide.iter_mut().for_each(|w| w.resize(*width, 0.0));
+        for narrow in mixed.iter_mut().chain(narrow.iter_mut()) {
+            narrow.resize(columns, 0.0);
+        }
+        for wide in wide.iter_mut() {
+            wide.resize(*width, 0.0);
+        }
         for (y, out) in self.out.chunks_exact_mut(3 * width).enumerate() {
             let (first, second, share) = between(y, layout.log2_down, self.coding.down, rows);
             for (mixed, &plane) in mixed.iter_mut().zip(&planes[1..3]) {
@@ -186,7 +191,7 @@ impl Job<'_> {
     }
 
     #[inline(always)]
-    fn from_grey<S: Sample>(self, emit: &impl Emit) {
+    fn convert_grey<S: Sample>(self, emit: &impl Emit) {
         let width = self.planes.width;
         let factors = Factors::new(self.coding.matrix, self.coding.full_range, self.planes.layout.depth);
         // Without the middle of chroma.
@@ -201,7 +206,7 @@ impl Job<'_> {
     }
 
     #[inline(always)]
-    fn from_rgb<S: Sample>(self) {
+    fn convert_rgb<S: Sample>(self) {
         let width = self.planes.width;
         let scale = 255.0 / ((1u32 << self.planes.layout.depth) - 1) as f32;
         for (y, out) in self.out.chunks_exact_mut(3 * width).enumerate() {
@@ -216,7 +221,7 @@ impl Job<'_> {
 }
 
 #[inline(always)]
-fn row<'a, S: Sample>(plane: Plane<'a>, y: usize, count: usize) -> &'a [u8] {
+fn row<S: Sample>(plane: Plane<'_>, y: usize, count: usize) -> &[u8] {
     &plane.data[y * plane.stride..][..count * S::BYTES]
 }
 

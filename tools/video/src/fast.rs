@@ -3,6 +3,7 @@
 //!
 //! Signals have 5 binary places. Against the exact result a channel differs by one level at
 //! most, where that lies within 0.1 of the middle between two levels.
+#![allow(clippy::inline_always, reason = "the vectorised build of a caller has to take in all that it calls")]
 
 use crate::coding::{Coding, Factors, Siting};
 use crate::convert::between;
@@ -45,8 +46,12 @@ pub(crate) fn run(planes: &Planes<'_>, coding: Coding, buffers: &mut Buffers, ou
     let columns = width.div_ceil(1 << layout.log2_across);
     let rows = height.div_ceil(1 << layout.log2_down);
     let Buffers { mixed, narrow, wide } = buffers;
-    mixed.iter_mut().chain(narrow.iter_mut()).for_each(|n| n.resize(columns, 0));
-    wide.iter_mut().for_each(|w| w.resize(*width, 0));
+    for narrow in mixed.iter_mut().chain(narrow.iter_mut()) {
+        narrow.resize(columns, 0);
+    }
+    for wide in wide.iter_mut() {
+        wide.resize(*width, 0);
+    }
     for (y, out) in out.chunks_exact_mut(3 * width).enumerate() {
         let (first, second, share) = between(y, layout.log2_down, coding.down, rows);
         let share = (4.0 * share) as i16;

@@ -3,6 +3,7 @@
 //! Light up to 95 % of diffuse white stays as it is; highlights above roll off towards white, by the brightest of the three
 //! channels so that their hue stays. Curves: ITU-R BT.2100, PQ and HLG on a display of 1,000 nits; HLG's system gamma of 1.2
 //! is applied to each channel, as FFmpeg's `zscale` does unless told otherwise. The result is sRGB with BT.709 primaries.
+#![allow(clippy::inline_always, reason = "the vectorised build of a caller has to take in all that it calls")]
 
 use crate::coding::Transfer;
 
@@ -18,7 +19,7 @@ const KNEE: f32 = 0.95;
 const STEPS: usize = 1 << 14;
 /// BT.2020's primaries in BT.709's, linear light (ITU-R BT.2087).
 const BT709_FROM_BT2020: [[f32; 3]; 3] =
-    [[1.660_491, -0.587_641, -0.072_850], [-0.124_550, 1.132_900, -0.008_349], [-0.018_151, -0.100_579, 1.118_730]];
+    [[1.660_491, -0.587_641, -0.072_850], [-0.124_550, 1.132_9, -0.008_349], [-0.018_151, -0.100_579, 1.118_73]];
 
 /// Maps pixels of one transfer curve.
 #[derive(Debug)]

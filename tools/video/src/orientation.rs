@@ -36,7 +36,7 @@ impl Orientation {
 
     /// The size of a picture of this size once it is turned.
     pub(crate) fn size(self, (width, height): (u32, u32)) -> (u32, u32) {
-        if self.clockwise_degrees % 180 == 0 { (width, height) } else { (height, width) }
+        if self.clockwise_degrees.is_multiple_of(180) { (width, height) } else { (height, width) }
     }
 
     pub(crate) fn apply(self, picture: RgbImage) -> RgbImage {

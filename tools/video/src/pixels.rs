@@ -95,6 +95,7 @@ pub(crate) struct Plane<'a> {
 
 /// The planes of a picture: luma, Cb and Cr, or red, green and blue, or luma alone.
 #[derive(Debug)]
+#[expect(clippy::struct_field_names, reason = "a picture's planes are called so")]
 pub(crate) struct Planes<'a> {
     pub(crate) width: usize,
     pub(crate) height: usize,
@@ -111,7 +112,7 @@ pub(crate) fn with_planes<T>(
     use_them: impl FnOnce(&Planes<'_>) -> Result<T, Reason>,
 ) -> Result<T, Reason> {
     // Some raw videos are stored from the bottom up, as negative strides; the binding's slices do not hold for these.
-    let upright = (0..frame.planes()).all(|i| frame.stride(i) <= i32::MAX as usize);
+    let upright = (0..frame.planes()).all(|i| i32::try_from(frame.stride(i)).is_ok());
     if let (Some(layout), true) = (Layout::of(frame.format()), upright) {
         return use_them(&planes(frame, layout)?);
     }

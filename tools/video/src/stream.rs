@@ -77,13 +77,11 @@ pub(crate) fn choose(input: &Input, path: &Path) -> Result<Choice, VideoError> {
         let area = u64::from(s.parameters().width()) * u64::from(s.parameters().height());
         (s.disposition().contains(Disposition::DEFAULT), area, std::cmp::Reverse(s.index()))
     };
-    match candidates.iter().max_by_key(|s| rank(s)) {
-        Some(best) => Ok(Choice { index: best.index(), others: candidates.len() - 1 }),
-        None => {
-            let sound = input.streams().any(|s| is(&s, media::Type::Audio));
-            Err(VideoError::NoVideoTrack { path: path.to_owned(), sound })
-        }
+    if let Some(best) = candidates.iter().max_by_key(|s| rank(s)) {
+        return Ok(Choice { index: best.index(), others: candidates.len() - 1 });
     }
+    let sound = input.streams().any(|s| is(&s, media::Type::Audio));
+    Err(VideoError::NoVideoTrack { path: path.to_owned(), sound })
 }
 
 /// A decoder for a stream, with as many threads as there are processors.

@@ -2,6 +2,7 @@
 //!
 //! Equations: ITU-R BT.709-6, 3.5. A chroma sample is the mean of two rows and of three columns with weights 1, 2, 1, since
 //! H.264's chroma lies on the first of two luma columns.
+#![allow(clippy::inline_always, reason = "the vectorised build of a caller has to take in all that it calls")]
 
 use ffmpeg::frame;
 use image::RgbImage;

@@ -1,7 +1,7 @@
 //! A corpus of small clips, made with the `ffmpeg` program: codec × depth × range × matrix × container × aspect × rate.
 //! Pictures are compared with FFmpeg's own conversion (its `zscale` filter, which interpolates chroma from where it lies),
 //! times with those of `ffprobe`. Skipped where the programs are absent.
-#![expect(clippy::unwrap_used, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "helpers of tests")]
 
 mod common;
 
@@ -113,7 +113,8 @@ fn examine(clip: &Clip, dir: &Path) -> Result<f64, String> {
     let aspect = clip.aspect.map_or_else(String::new, |(n, d)| format!(",setsar={n}/{d}"));
     let frames = if uneven.is_empty() { 5 } else { 25 };
     // AVI has no times for reordered frames, and ffprobe none either.
-    let order = if clip.name.ends_with(".avi") && clip.encoding.contains("libx264") { "-bf 0" } else { "" };
+    let order =
+        if path.extension().is_some_and(|e| e == "avi") && clip.encoding.contains("libx264") { "-bf 0" } else { "" };
     let made = try_ffmpeg(
         &format!(
             "-f lavfi -i testsrc2=size=128x96:rate={} -vf format=gbrp,zscale=matrixin=gbr:rangein=full:matrix={}:range={},\
@@ -208,7 +209,7 @@ fn hdr_has_the_colours_of_sdr() {
     for (curve, name) in [("arib-std-b67", "hlg.mp4"), ("smpte2084", "pq.mp4")] {
         for colour in [[200u8, 60, 40], [224, 172, 140], [90, 60, 50], [128, 128, 128]] {
             let path = dir.path().join(name);
-            let hex: String = colour.iter().map(|c| format!("{c:02x}")).collect();
+            let hex = format!("{:02x}{:02x}{:02x}", colour[0], colour[1], colour[2]);
             ffmpeg(
                 &format!(
                     "-f lavfi -i color=c=#{hex}:size=128x96:rate=30,format=gbrp -frames:v 2 -vf \
