@@ -10,7 +10,7 @@ use crate::FormatError;
 /// The bytes of a table with commas between cells and points in numbers, and what had to be converted for that.
 pub(crate) fn with_commas(bytes: &[u8]) -> (Cow<'_, [u8]>, Option<&'static str>) {
     let header = bytes.split(|&b| b == b'\n').find(|line| !line.trim_ascii().is_empty()).unwrap_or_default();
-    let count = |wanted: u8| header.iter().filter(|&&b| b == wanted).count();
+    let count = |wanted: u8| header.split(|&b| b == wanted).count() - 1;
     let separator = [b';', b'\t'].into_iter().find(|&s| count(s) > count(b','));
     match separator {
         Some(separator) => {
@@ -45,8 +45,8 @@ fn quoted_decimals(bytes: &[u8]) -> Option<Vec<u8>> {
             (b'"', Some(from)) => {
                 let cell = &bytes[from + 1..at];
                 let number = |b: &u8| b.is_ascii_digit() || matches!(b, b',' | b'-' | b'+' | b'e' | b'E' | b' ');
-                let commas = cell.iter().filter(|&&b| b == b',').count();
-                if commas == 1 && cell.iter().all(number) && cell.iter().any(u8::is_ascii_digit) {
+                let parts = cell.split(|&b| b == b',').count();
+                if parts == 2 && cell.iter().all(number) && cell.iter().any(u8::is_ascii_digit) {
                     let copy = converted.get_or_insert_with(|| bytes.to_vec());
                     for b in &mut copy[from + 1..at] {
                         if *b == b',' {

@@ -32,7 +32,9 @@ pub(super) fn without_false_shares(codes: &mut [Code]) {
     let within = codes.windows(2).filter(|w| w[0][0] == w[1][0] && w[1][1].floor() > w[0][1].floor());
     let mut off = within.map(|w| (w[1][1] - w[0][1] - (w[1][1].floor() - w[0][1].floor())).abs());
     if off.any(|off| off > FALSE_SHARE) {
-        codes.iter_mut().for_each(|code| code[1] = code[1].floor());
+        for code in codes {
+            code[1] = code[1].floor();
+        }
     }
 }
 

@@ -10,9 +10,6 @@ use crate::project::{Blended, Geometry, LEAST_RATIO, LOW_PASS, SH_C1, direction}
 use crate::simd::{F, Row, Simd, transpose};
 use crate::view::View;
 
-/// Numbers that the rasteriser's backward pass gives per Gaussian.
-pub(crate) const SUMS: usize = 9;
-
 /// Gradients of a group.
 #[derive(Clone, Copy)]
 pub(crate) struct Gradients<S: Simd> {

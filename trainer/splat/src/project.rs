@@ -14,11 +14,10 @@ pub(crate) const LEAST_RATIO: f32 = 1e-5;
 /// First constant of the spherical harmonics of degree 1.
 pub(crate) const SH_C1: f32 = 0.488_602_52;
 /// Half of log2 e, and log2 e.
-const HALF_LOG2_E: f32 = 0.721_347_5;
-pub(crate) const LOG2_E: f32 = 1.442_695;
+const HALF_LOG2_E: f32 = 0.5 * std::f32::consts::LOG2_E;
+pub(crate) const LOG2_E: f32 = std::f32::consts::LOG2_E;
 /// ln 255: below an opacity of 1/255 nothing is drawn.
 const LN_255: f32 = 5.541_263_5;
-const LN_2: f32 = 0.693_147_2;
 
 /// An activation that acts: which basis, how much.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,16 +28,17 @@ pub(crate) struct Active {
     pub value: f32,
 }
 
-/// The activations that are not negligible.
-pub(crate) fn active_bases(layout: &crate::Layout, activations: &[f32]) -> Vec<Active> {
+/// The activations that are not negligible; with `all`, those too, with the value 0.
+pub(crate) fn active_bases(layout: &crate::Layout, activations: &[f32], all: bool) -> Vec<Active> {
     let aus = layout.region_of.len();
     let region = |k: usize| if k < aus { layout.region_of[k].min(REGIONS - 1) } else { REGIONS };
     let mut list: Vec<Active> = activations
         .iter()
         .take(layout.bases())
         .enumerate()
-        .filter(|(k, a)| if *k < aus { **a > LEAST_ACTIVATION } else { **a != 0.0 })
-        .map(|(basis, &value)| Active { basis, region: region(basis), value })
+        .map(|(k, &a)| (k, if k < aus && a <= LEAST_ACTIVATION { 0.0 } else { a }))
+        .filter(|(_, a)| all || *a != 0.0)
+        .map(|(basis, value)| Active { basis, region: region(basis), value })
         .collect();
     list.sort_by_key(|a| a.region);
     list
@@ -130,7 +130,6 @@ pub(crate) struct Geometry<S: Simd> {
     pub lens: [F<S>; 4],
     /// The rows of ∂(x/z, y/z)/∂p.
     pub n: [[F<S>; 3]; 2],
-    pub rotation: [F<S>; 9],
     pub scale: [F<S>; 3],
     pub q_length_inverse: F<S>,
     pub q: [F<S>; 4],
@@ -234,7 +233,6 @@ pub(crate) fn geometry<S: Simd>(view: &View, b: &Blended<S>) -> Geometry<S> {
         free,
         lens: jacobian,
         n,
-        rotation,
         scale,
         q_length_inverse,
         q,
@@ -316,20 +314,20 @@ pub(crate) fn shade<S: Simd>(color: [F<S>; 3], sh: &[Row], d: [F<S>; 3]) -> [F<S
 
 /// Columns of a record: what rasteriser and binning know of a Gaussian in a picture.
 pub(crate) mod record {
-    pub const U: usize = 0;
-    pub const V: usize = 1;
+    pub(crate) const U: usize = 0;
+    pub(crate) const V: usize = 1;
     /// −½ log2 e times the conic's first entry, −log2 e times its second, −½ log2 e times its third.
-    pub const CONIC: usize = 2;
+    pub(crate) const CONIC: usize = 2;
     /// log2 of the compensated opacity.
-    pub const LOG2_OPACITY: usize = 5;
-    pub const RGB: usize = 6;
-    pub const DEPTH: usize = 9;
+    pub(crate) const LOG2_OPACITY: usize = 5;
+    pub(crate) const RGB: usize = 6;
+    pub(crate) const DEPTH: usize = 9;
     /// Half extents at the level 1/255, px.
-    pub const HALF: usize = 10;
+    pub(crate) const HALF: usize = 10;
     /// x of the ellipse's chord per y; y of its rightmost point; square of the chord's half length at 0, its loss per y².
-    pub const SLOPE: usize = 12;
-    pub const Y_RIGHT: usize = 13;
-    pub const CHORD: usize = 14;
+    pub(crate) const SLOPE: usize = 12;
+    pub(crate) const Y_RIGHT: usize = 13;
+    pub(crate) const CHORD: usize = 14;
 }
 
 /// Projects group `g` into 16 records; a bit for each Gaussian that may touch the picture.
@@ -346,7 +344,7 @@ pub(crate) fn project_group<S: Simd>(
     let one = F::<S>::splat(1.0);
     let log2_opacity = log2((geo.opacity * geo.ratio.sqrt()).max(F::splat(1e-30)));
     // P = ln(255 o′); the level of 1/255 is where the squared Mahalanobis distance is 2 P.
-    let level = (log2_opacity.fma(F::splat(LN_2), F::splat(LN_255))) * 2.0;
+    let level = (log2_opacity.fma(F::splat(std::f32::consts::LN_2), F::splat(LN_255))) * 2.0;
     let low = F::splat(LOW_PASS);
     let (a, c, off) = (geo.covariance[0] + low, geo.covariance[2] + low, geo.covariance[1]);
     let half = [(level * a).max(F::splat(0.0)).sqrt(), (level * c).max(F::splat(0.0)).sqrt()];

@@ -6,7 +6,7 @@ use risorius_formats::{Camera, Isometry};
 use crate::bin::Bins;
 use crate::model::{Gaussians, LANES, REGIONS};
 use crate::project::{Active, active_bases, record};
-use crate::raster::{BACKDROP, EXTRAS, Extra, ExtraRow, TILE_BLOCKS, Tile, column};
+use crate::raster::{BACKDROP, EXTRAS, Extra, ExtraRow, OPAQUE, TILE_BLOCKS, Tile, column};
 use crate::simd::{self, F, Simd, Task};
 use crate::skips::Skips;
 use crate::view::View;
@@ -14,7 +14,7 @@ use crate::view::View;
 /// What a picture holds besides its colours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Outputs {
-    /// Expected depth along the optical axis, metres.
+    /// Expected depth along the optical axis, metres: the head's where the head covers most of what is seen.
     pub depth: bool,
     /// Region masks, 0–1.
     pub masks: bool,
@@ -181,7 +181,7 @@ impl<'a> Renderer<'a> {
     ) -> &Picture {
         let view = View::new(camera, room_from_head);
         let backdrop = backdrop.filter(|b| b.len() == view.width * view.height * 3);
-        let active = active_bases(&self.model.layout, activations);
+        let active = active_bases(&self.model.layout, activations, !self.skips.untouched);
         let same = self.last.take().filter(|l| {
             self.skips.unchanged && l.view == view && l.backdrop.as_deref() == backdrop && l.outputs == outputs
         });
@@ -245,6 +245,8 @@ impl<'a> Renderer<'a> {
         picture.rgb.resize(width * height * 3, 0);
         picture.transmittance.resize(width * height, 0.0);
         self.tiles.resize_with(rows.max(self.tiles.len()), Tile::default);
+        let opaque = if self.skips.hidden { OPAQUE } else { 0.0 };
+        self.tiles.iter_mut().for_each(|t| t.opaque = opaque);
         let bins = &self.bins;
         let moving = apart.then_some(&self.moving);
         let band = crate::TILE * width;
@@ -291,6 +293,7 @@ impl<'a> Renderer<'a> {
             for c in 0..3 {
                 out[column::HEAD + 1 + c] = head * r[record::RGB + c];
             }
+            out[column::HEAD_DEPTH] = head * r[record::DEPTH];
             out
         };
         let band = (crate::TILE * width).max(1);
@@ -299,7 +302,15 @@ impl<'a> Renderer<'a> {
         });
         let picture = &mut self.picture;
         if outputs.depth {
-            let depth = |(e, t): (&Extra, &f32)| if *t < 0.99 { e[column::DEPTH] / (1.0 - t) } else { 0.0 };
+            let depth = |(e, t): (&Extra, &f32)| {
+                let head = e[column::HEAD];
+                // Where the head covers half of what is seen, it alone is asked: what shines through from behind is far off.
+                match 1.0 - t {
+                    covered if head > 0.5 * covered && head > 0.01 => e[column::HEAD_DEPTH] / head,
+                    covered if covered > 0.01 => e[column::DEPTH] / covered,
+                    _ => 0.0,
+                }
+            };
             picture.depth.extend(self.extras.iter().zip(&picture.transmittance).map(depth));
         }
         if outputs.masks {

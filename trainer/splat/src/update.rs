@@ -140,7 +140,9 @@ impl Update<'_> {
         let wholes: Vec<Whole> =
             parts.into_par_iter().map(|part| simd::run(UpdateChunk { part, fixed: &fixed, evidence })).collect();
         let mut whole = Whole { activations: vec![0.0; evidence.active.len()], ..Whole::default() };
-        wholes.iter().for_each(|w| whole.add(w));
+        for part in &wholes {
+            whole.add(part);
+        }
         whole
     }
 }
@@ -155,10 +157,10 @@ struct Cuts<'a> {
     movement: &'a mut [f32],
 }
 
+/// The first `len` numbers, which are taken off.
+#[allow(clippy::mut_mut, reason = "what is left of a slice is put back")]
 fn cut<'a>(from: &mut &'a mut [f32], len: usize) -> &'a mut [f32] {
-    let (own, rest) = std::mem::take(from).split_at_mut(len);
-    *from = rest;
-    own
+    from.split_off_mut(..len).unwrap_or_default()
 }
 
 impl<'a> Cuts<'a> {
@@ -219,8 +221,9 @@ impl Task for UpdateChunk<'_> {
             }
             prefetch_sums::<S>(evidence, g + 2);
             let at = i * row..(i + 1) * row;
-            let own = Own { base: &mut part.base[at.clone()], first: &mut first[at.clone()], second: &mut second[at] };
-            let deltas = (g < fixed.deformable).then(|| {
+            let mut own =
+                Own { base: &mut part.base[at.clone()], first: &mut first[at.clone()], second: &mut second[at] };
+            let mut deltas = (g < fixed.deformable).then(|| {
                 let at = i * delta_row..(i + 1) * delta_row;
                 Own {
                     base: &mut part.deltas[at.clone()],
@@ -229,7 +232,7 @@ impl Task for UpdateChunk<'_> {
                 }
             });
             let movement = &mut part.movement[i * LANES..(i + 1) * LANES];
-            group::<S>(fixed, evidence, g, seen, own, deltas, movement, &mut whole);
+            group::<S>(fixed, evidence, g, seen, &mut own, deltas.as_mut(), movement, &mut whole);
         }
         whole
     }
@@ -256,8 +259,8 @@ fn group<S: Simd>(
     evidence: &Evidence<'_>,
     g: usize,
     seen: u16,
-    own: Own<'_>,
-    deltas: Option<Own<'_>>,
+    own: &mut Own<'_>,
+    deltas: Option<&mut Own<'_>>,
     movement: &mut [f32],
     whole: &mut Whole,
 ) {

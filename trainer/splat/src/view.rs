@@ -115,7 +115,7 @@ fn largest_r2(camera: &Camera) -> f64 {
     let (w, h) = (f64::from(i.width), f64::from(i.height));
     let corners = [DVec2::ZERO, DVec2::new(w, 0.0), DVec2::new(0.0, h), DVec2::new(w, h)];
     let farthest =
-        corners.iter().map(|&c| i.unproject(c).map_or(f64::INFINITY, |p| p.length())).fold(0.0, f64::max).min(3.0);
+        corners.iter().map(|&c| i.unproject(c).map_or(f64::INFINITY, DVec2::length)).fold(0.0, f64::max).min(3.0);
     // The radial curve must rise by at least a fifth of its slope in the middle.
     let step = farthest.max(0.1) * 1.2 / 64.0;
     let at = |r: f64| i.distortion.distort(DVec2::new(r, 0.0)).length();

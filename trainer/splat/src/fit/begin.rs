@@ -25,6 +25,23 @@ pub(super) fn logit(p: f32) -> f32 {
     (p / (1.0 - p)).ln()
 }
 
+/// Leaves every so many seeds where there are more than `most`, each as much larger; whether it did.
+pub(super) fn thin_out(seeds: &mut Vec<Seed>, most: usize) -> bool {
+    let count = seeds.len();
+    if count <= most.max(1) {
+        return false;
+    }
+    let grow = (count as f32 / most.max(1) as f32).sqrt();
+    let mut taken = 0;
+    seeds.retain_mut(|seed| {
+        let keep = (taken + 1) * most.max(1) / count > taken * most.max(1) / count;
+        taken += 1;
+        seed.sigma *= grow;
+        keep
+    });
+    true
+}
+
 /// The order of seeds: deformable ones first, each part along a Morton curve, so that groups are compact.
 pub(super) fn order(means: &[[f32; 3]], deformable: &[bool]) -> Vec<u32> {
     let mut keys: Vec<(bool, u64, u32)> =

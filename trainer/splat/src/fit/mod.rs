@@ -27,7 +27,7 @@ use crate::bin::{Bins, Line};
 use crate::init::{self, Start};
 use crate::model::{Gaussians, LANES, LATENT, Layout};
 use crate::project::active_bases;
-use crate::raster::{RowNumbers, Target, Tile, TrainRow};
+use crate::raster::{OPAQUE, RowNumbers, Target, Tile, TrainRow};
 use crate::scene::{Frame, Scene};
 use crate::simd;
 use crate::update::{Evidence, Moments, Rates, Update, Whole};
@@ -103,7 +103,10 @@ impl Fitter {
     /// Begins a fit; `say` is told what takes long. The scene is looked at by all threads of the pool.
     pub fn new(scene: &Scene<'_>, settings: Settings, say: &dyn Fn(&str)) -> Self {
         let [head, room] = settings.voxel_mm.map(|v| f64::from(v) * 1e-3);
-        let stereo = init::StereoSettings { head_voxel_m: head, room_voxel_m: room, ..Default::default() };
+        let standard = init::StereoSettings::default();
+        // Room for what fills holes and for growth.
+        let seeds = standard.seeds.min(settings.gaussians * 17 / 20);
+        let stereo = init::StereoSettings { head_voxel_m: head, room_voxel_m: room, seeds, ..standard };
         let start = init::start(scene, &init::StartSettings { stereo }, say);
         Self::from_start(scene, settings, start, say)
     }
@@ -118,6 +121,7 @@ impl Fitter {
             images: scene.frames.len(),
         };
         fill::fill(scene, &layout, &mut seeds, &head_poses);
+        let mouth = if begin::thin_out(&mut seeds, settings.gaussians) { None } else { mouth };
         say(&format!("{} Gaussians to begin with", seeds.len()));
         let model = begin::model(layout, &seeds, motion.as_ref(), mouth.as_ref());
         let images = PerImage::new(scene.frames.len(), scene.region_of.len());
@@ -163,7 +167,7 @@ impl Fitter {
         let camera = reduced(&camera, reduce);
         let view = View::new(&camera, &room_from_head);
         let activations = self.activations(frame, image, coded);
-        let active = active_bases(&self.model.layout, &activations);
+        let active = active_bases(&self.model.layout, &activations, !self.settings.skips.untouched);
         self.work.bins.fill(&self.model, &view, &active, None);
         let target = Target {
             rgb: frame.rgb,
@@ -172,9 +176,12 @@ impl Fitter {
             width: frame.camera.intrinsics.width as usize,
             reduce: reduce as usize,
         };
-        let numbers = self.work.rasterise(&view, &target);
+        let opaque = if self.settings.skips.hidden { OPAQUE } else { 0.0 };
+        let numbers = self.work.rasterise(&view, &target, opaque);
         self.progress.basis_steps.resize(self.model.layout.bases(), 0);
-        active.iter().for_each(|a| self.progress.basis_steps[a.basis] += 1);
+        for a in &active {
+            self.progress.basis_steps[a.basis] += 1;
+        }
         let correction: Vec<f32> =
             active.iter().map(|a| bias_correction(u64::from(self.progress.basis_steps[a.basis]))).collect();
         let heads_move = self.settings.refine_head && self.head_poses.iter().any(|p| *p != Isometry::IDENTITY);
@@ -389,7 +396,7 @@ impl Fitter {
 
 impl Work {
     /// Compositing, loss and sums of every entry, row of tiles by row of tiles.
-    fn rasterise(&mut self, view: &View, target: &Target<'_>) -> RowNumbers {
+    fn rasterise(&mut self, view: &View, target: &Target<'_>, opaque: f32) -> RowNumbers {
         let columns = view.columns();
         let rows = view.tiles() / columns.max(1);
         let bins = &self.bins;
@@ -398,6 +405,7 @@ impl Work {
         let mut rest = self.sums.as_mut_slice();
         let mut work = Vec::with_capacity(rows);
         for (row, tile) in self.tiles.iter_mut().enumerate() {
+            tile.opaque = opaque;
             let len = bins.entries((row + 1) * columns - 1).end - bins.entries(row * columns).start;
             let (own, more) = rest.split_at_mut(len);
             rest = more;

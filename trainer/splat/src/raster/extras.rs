@@ -8,15 +8,16 @@ use crate::raster::CENTERS;
 use crate::simd::{F, Simd, Task, exp2_fast};
 
 /// Values per Gaussian that go together.
-pub(crate) const EXTRAS: usize = 8;
+pub(crate) const EXTRAS: usize = 9;
 /// Where they stand.
 pub(crate) mod column {
     /// Region memberships, 0–1.
-    pub const MASKS: usize = 0;
+    pub(crate) const MASKS: usize = 0;
     /// Depth, metres.
-    pub const DEPTH: usize = 3;
-    /// The head's share, and its share times red, green, blue.
-    pub const HEAD: usize = 4;
+    pub(crate) const DEPTH: usize = 3;
+    /// The head's share, its share times red, green, blue, and its share times depth.
+    pub(crate) const HEAD: usize = 4;
+    pub(crate) const HEAD_DEPTH: usize = 8;
 }
 
 /// The values of a Gaussian, by slot.
@@ -92,7 +93,7 @@ fn weights<S: Simd>(tile: &Tile, block: usize, mut each: impl FnMut(usize, F<S>)
         let w = F::splat(LOG2_LEAST).lt(e).select(t * alpha, F::splat(0.0));
         each(entry, w);
         t = t - w;
-        if F::splat(super::OPAQUE).lt(t).bits() == 0 {
+        if F::splat(tile.opaque).lt(t).bits() == 0 {
             break;
         }
     }

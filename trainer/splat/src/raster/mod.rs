@@ -26,7 +26,7 @@ pub(crate) const MOST_ALPHA: f32 = 0.99;
 const LOG2_MOST: f32 = -0.014_499_57;
 /// log2 of 1/255.
 const LOG2_LEAST: f32 = -7.994_353_4;
-/// A block is done when none of its pixels lets more than this through.
+/// What is behind a block that lets no more than this through is hidden.
 pub(crate) const OPAQUE: f32 = 2e-3;
 
 /// Pixel centres of each block from the tile's corner: x, then y.
@@ -67,6 +67,8 @@ pub(crate) struct Tile {
     pub transmittance: [Line; TILE_BLOCKS],
     /// Entries that each block has looked at.
     pub stop: [u32; TILE_BLOCKS],
+    /// A block is done when none of its pixels lets more than this through; 0 looks at everything.
+    pub opaque: f32,
     pub left: usize,
     pub top: usize,
 }
@@ -79,6 +81,7 @@ impl Default for Tile {
             color: [[Line::ZERO; 3]; TILE_BLOCKS],
             transmittance: [Line::ZERO; TILE_BLOCKS],
             stop: [0; TILE_BLOCKS],
+            opaque: OPAQUE,
             left: 0,
             top: 0,
         }
@@ -165,7 +168,7 @@ impl Tile {
                 blue = w.fma(F::splat(r[record::RGB + 2]), blue);
                 t = t - w;
             }
-            if F::splat(OPAQUE).lt(t).bits() == 0 {
+            if F::splat(self.opaque).lt(t).bits() == 0 {
                 break;
             }
         }

@@ -133,14 +133,14 @@ impl Drop for Held {
 
 /// The widest set the machine has (or `RISORIUS_SIMD` allows).
 pub fn level() -> Level {
+    static LEVEL: OnceLock<Level> = OnceLock::new();
     #[cfg(test)]
     match HELD.load(std::sync::atomic::Ordering::SeqCst) {
         1 => return Level::Scalar,
-        2 => return Level::Avx2,
-        3 => return Level::Avx512,
+        2 => return Level::Avx2.min(detected()),
+        3 => return Level::Avx512.min(detected()),
         _ => {}
     }
-    static LEVEL: OnceLock<Level> = OnceLock::new();
     *LEVEL.get_or_init(|| {
         let allowed = match std::env::var("RISORIUS_SIMD").as_deref() {
             Ok("scalar") => Level::Scalar,

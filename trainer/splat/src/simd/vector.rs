@@ -1,5 +1,7 @@
 //! A vector with operators, and the functions that the kernels share.
 
+#![allow(clippy::return_self_not_must_use, reason = "arithmetic, as of numbers")]
+
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
 use super::Simd;
@@ -229,7 +231,7 @@ pub fn exp2_fast<S: Simd>(x: F<S>) -> F<S> {
     let p = f.fma(F::splat(0.009_570_101), F::splat(0.055_917_86));
     let p = p.fma(f, F::splat(0.240_247_45));
     let p = p.fma(f, F::splat(0.693_121_8));
-    let p = p.fma(f, F::splat(0.999_999_26));
+    let p = p.fma(f, F::splat(0.999_999_3));
     F(unsafe { S::scale2(p.0, r.0) })
 }
 
@@ -243,7 +245,7 @@ pub fn exp2<S: Simd>(x: F<S>) -> F<S> {
     let p = p.fma(f, F::splat(0.009_618_489));
     let p = p.fma(f, F::splat(0.055_503_29));
     let p = p.fma(f, F::splat(0.240_226_47));
-    let p = p.fma(f, F::splat(0.693_147_2));
+    let p = p.fma(f, F::splat(std::f32::consts::LN_2));
     let p = p.fma(f, F::splat(1.0));
     F(unsafe { S::scale2(p.0, r.0) })
 }

@@ -1,7 +1,7 @@
 //! The driver: AU curves without gaps, smoothed, and the turns of the head.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::{DMat3, DQuat};
 use risorius_formats::curves::{CurveOptions, CurveSource, interpolate};
@@ -101,12 +101,6 @@ impl Driver {
         let last = self.times_secs.last().copied().unwrap_or(0.0);
         if last > 0.0 { (self.times_secs.len() - 1) as f64 / last } else { 30.0 }
     }
-
-    /// The video, if there is one.
-    pub fn media_path(&self) -> Option<PathBuf> {
-        self.take.as_ref().map(Take::media_path)
-    }
-
     /// Turn of the head at a time, scaled; the identity where turns are not known.
     pub fn turn_at(&self, secs: f64, scale: f64) -> DMat3 {
         let Some(turns) = &self.turns else { return DMat3::IDENTITY };

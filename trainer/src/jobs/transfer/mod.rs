@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use image::RgbImage;
 use image::imageops::{self, FilterType};
 use risorius_formats::views::ViewList;
-use risorius_formats::{ActionUnit, Camera, ErrorKind, FormatError, Reporter, Warning};
+use risorius_formats::{ActionUnit, Camera, ErrorKind, FormatError, Reporter, Take, Warning};
 use risorius_video::Writer;
 use serde::{Deserialize, Serialize};
 
@@ -117,8 +117,8 @@ pub fn transfer(
         reporter.warn(Warning::new("no-head", "the driver's table does not tell how the head turns; it stays still"));
     }
     let height = avatars.first().map_or(0, |a| a.avatar.saved.default_camera.height);
-    let drivers = match driver.media_path().filter(|_| settings.side_by_side) {
-        Some(path) => driver_pictures(&path, &slots, height)?,
+    let drivers = match driver.take.as_ref().filter(|_| settings.side_by_side) {
+        Some(take) => driver_pictures(take, &slots, height)?,
         None => Vec::new(),
     };
     let folder_of = |name: &str| {
@@ -297,11 +297,11 @@ fn slots(driver: &Driver, fps: f64) -> Vec<Slot> {
 }
 
 /// The driver's picture for every slot, at the height of the result.
-fn driver_pictures(path: &Path, slots: &[Slot], height: u32) -> Result<Vec<RgbImage>> {
+fn driver_pictures(take: &Take, slots: &[Slot], height: u32) -> Result<Vec<RgbImage>> {
     let mut frames: Vec<u32> = slots.iter().filter_map(|s| s.driver_frame).collect();
     frames.dedup();
     let mut images = Vec::with_capacity(frames.len());
-    risorius_video::read_frames(path, &frames, |_, image| -> Result<()> {
+    risorius_video::read_take_frames(take, &frames, |_, image| -> Result<()> {
         images.push(resized(&image, height));
         Ok(())
     })?;
