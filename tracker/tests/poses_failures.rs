@@ -13,7 +13,7 @@ use risorius_formats::take::SourceKind;
 use risorius_formats::{Hint, Isometry, Take, Track, TrackRow, colmap, openface};
 use risorius_tracker::TrackerError;
 use risorius_tracker::poses::colmap::ColmapOptions;
-use risorius_tracker::poses::{self, Numbering, PosesOptions, Source, interpolate::MAX_GAP_SECS};
+use risorius_tracker::poses::{self, PosesOptions, Source, interpolate::MAX_GAP_SECS};
 
 #[path = "../src/testing.rs"]
 mod testing;

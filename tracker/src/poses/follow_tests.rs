@@ -8,6 +8,7 @@ use image::{Rgb, RgbImage};
 use risorius_formats::FrameIndex;
 use risorius_formats::colmap::{Point2d, Point3d};
 use risorius_formats::report::Collected;
+use risorius_formats::take::SourceKind;
 
 const FRAMES: u32 = 36;
 const EVERY: u32 = 5;
@@ -132,6 +133,15 @@ fn video(change: impl Fn(u32, RgbImage) -> RgbImage) -> (tempfile::TempDir, BTre
     (dir, pictures)
 }
 
+/// A take of the pictures in a folder.
+fn take_of(pictures: &std::path::Path) -> Take {
+    let dir = tempfile::tempdir().unwrap();
+    let mut take = Take::open(crate::testing::take(dir.path(), 240, 180, FRAMES)).unwrap();
+    take.manifest.source = SourceKind::Images;
+    take.manifest.media = pictures.to_owned();
+    take
+}
+
 #[test]
 fn key_frames_become_exact_and_all_others_find_their_place() {
     let (dir, pictures) = video(|_, image| image);
@@ -144,7 +154,7 @@ fn key_frames_become_exact_and_all_others_find_their_place() {
     assert!(model.reprojection_error_px().unwrap() < 0.2);
     let frames = frames();
     let follow = Follow::new(&model, &pictures, &frames, |_, _| false).unwrap();
-    let followed = follow.run(&model.poses(), dir.path(), &BTreeSet::new(), &Collected::default()).unwrap();
+    let followed = follow.run(&model.poses(), &take_of(dir.path()), &BTreeSet::new(), &Collected::default()).unwrap();
     assert_eq!(followed.poses.len() + pictures.len(), FRAMES as usize, "lost {:?}", followed.lost);
     let mut all = followed.poses;
     all.extend(model.poses());
@@ -164,7 +174,7 @@ fn frames_without_the_scene_are_lost_and_the_next_ones_found_again() {
     sharpen(&mut model, &pictures).unwrap();
     let frames = frames();
     let follow = Follow::new(&model, &pictures, &frames, |_, _| false).unwrap();
-    let followed = follow.run(&model.poses(), dir.path(), &BTreeSet::new(), &Collected::default()).unwrap();
+    let followed = follow.run(&model.poses(), &take_of(dir.path()), &BTreeSet::new(), &Collected::default()).unwrap();
     assert_eq!(followed.lost, [11, 12, 13]);
     let mut found = followed.poses;
     found.extend(model.poses());
