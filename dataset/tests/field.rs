@@ -65,7 +65,9 @@ fn names_of_takes_stay_texts() {
     let dir = tempfile::tempdir().unwrap();
     let takes: Vec<PathBuf> =
         ["001", "1", "2024-01-31"].iter().map(|name| dir.path().join("takes").join(name)).collect();
-    takes.iter().for_each(|take| common::take().write(take));
+    for take in &takes {
+        common::take().write(take);
+    }
     let data = dir.path().join("data");
     build(&takes, &data, &BuildOptions { same_subject: true, ..options() }, &Silent).unwrap();
     for table in tables::TABLES {

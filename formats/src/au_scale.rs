@@ -183,7 +183,7 @@ mod tests {
     #[test]
     fn a_driver_s_most_becomes_the_avatar_s_most() {
         let (driver, avatar) = (scale(0.0, 2.0), scale(0.5, 4.5));
-        for (from, to) in [(0.0, 0.5), (1.6, 3.6), (2.0, 4.275), (9.0, 4.275)] {
+        for (from, to) in [(0.0, 0.5), (1.6, 3.6), (2.0, 4.375), (9.0, 4.375)] {
             let got = driver.carried_to(&avatar, Intensity(from)).0;
             assert!((got - to).abs() < 1e-5, "{from}: {got}");
         }

@@ -12,7 +12,7 @@ use std::process::Command;
 
 use risorius_tests::binary;
 
-/// Commands of others that messages name, and how each was tried on Debian 12 as it comes (no pip, no venv, no COLMAP).
+/// Commands of others that messages name, and what each is known to do on Debian 12.
 const TRIED: [(&str, &str); 15] = [
     ("apt-get update && apt-get install colmap", "installs COLMAP 3.8"),
     ("apt-get update && apt-get install python3-pip", "`tools/models` runs then"),
@@ -33,14 +33,17 @@ const TRIED: [(&str, &str); 15] = [
 /// Options of other programs.
 const FOREIGN_OPTIONS: [&str; 1] = ["--ImageReader.camera_model"];
 /// Packages of Debian 12 and Ubuntu 24.04 that texts ask to install.
-const PACKAGES: [&str; 12] = [
+const PACKAGES: [&str; 15] = [
     "colmap",
     "python3-pip",
     "python3-venv",
     "python3",
     "g++",
     "mesa-vulkan-drivers",
-    "libopencv-dev",
+    "libavcodec-dev",
+    "libavformat-dev",
+    "libavutil-dev",
+    "libswscale-dev",
     "clang",
     "libclang-dev",
     "pkg-config",
@@ -83,7 +86,7 @@ fn literals(source: &str) -> Vec<String> {
                 let mut text = String::new();
                 at += 1;
                 while at < chars.len() && chars[at] != '"' {
-                    if chars[at] == '\\' {
+                    if chars[at] == '\\' && at + 1 < chars.len() {
                         at += 1;
                         // The end of a line and the indentation of the next one are no part of the text.
                         if chars.get(at) == Some(&'\n') {
@@ -91,7 +94,8 @@ fn literals(source: &str) -> Vec<String> {
                             continue;
                         }
                     }
-                    text.extend(chars.get(at));
+                    let escaped = at > 0 && chars[at - 1] == '\\' && chars[at] == 'n';
+                    text.push(if escaped { '\n' } else { chars[at] });
                     at += 1;
                 }
                 found.push(text);
@@ -234,10 +238,13 @@ fn install_commands_work_where_python_is_managed_by_the_system() {
             }
             for install in ["apt install ", "apt-get install "] {
                 for (at, _) in line.match_indices(install) {
-                    let names = line[at + install.len()..].split_whitespace();
+                    // The command ends with its backticks, or with the clause.
+                    let command =
+                        line[at + install.len()..].split(['`', ',', ')', ';', '&']).next().unwrap_or_default();
+                    let names = command.split_whitespace().filter(|w| !w.starts_with('-'));
                     let names = names.take_while(|w| w.starts_with(|c: char| c.is_ascii_lowercase()));
-                    let bare = names.map(|w| w.trim_end_matches(|c: char| !c.is_ascii_alphanumeric() && c != '+'));
-                    let unknown = bare.map(|w| w.split('`').next().unwrap_or_default()).find(|w| !PACKAGES.contains(w));
+                    let mut bare = names.map(|w| w.trim_end_matches(|c: char| !c.is_ascii_alphanumeric() && c != '+'));
+                    let unknown = bare.find(|w| !PACKAGES.contains(w));
                     faults.extend(unknown.map(|w| format!("{place}: the package `{w}` was not tried")));
                 }
             }

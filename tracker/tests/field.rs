@@ -36,6 +36,7 @@ fn options(dir: &Path, numbering: Numbering) -> PosesOptions {
     }
 }
 
+#[expect(clippy::result_large_err, reason = "the error is looked at, not passed around")]
 fn find(take: &Path, model: &Path, numbering: Numbering) -> Result<PoseReport, TrackerError> {
     poses::find(take, &options(model, numbering), &Collected::default())
 }

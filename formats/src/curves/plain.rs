@@ -202,6 +202,8 @@ fn fps(rows: &[Row], options: &CurveOptions, reporter: &dyn Reporter) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::fmt::Write as _;
+
     use super::*;
     use crate::ActionUnit;
     use crate::report::Collected;
@@ -218,9 +220,9 @@ mod tests {
         for i in 0..rows {
             let clock = format!("00:{:02}", i / 25);
             if second_face {
-                text += &format!("300,100,90,90,0.9,0.7,0.1,{i},{clock}\n");
+                let _ = writeln!(text, "300,100,90,90,0.9,0.7,0.1,{i},{clock}");
             }
-            text += &format!("100,100,200,200,0.9,0.2,0.9,{i},{clock}\n");
+            let _ = writeln!(text, "100,100,200,200,0.9,0.2,0.9,{i},{clock}");
         }
         text
     }

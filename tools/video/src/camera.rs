@@ -81,7 +81,9 @@ mod kernel {
                 let (bytes, meta) = stream.next().ok()?;
                 let bytes = bytes.get(..meta.bytesused as usize).unwrap_or(bytes);
                 let picture = if format.fourcc.repr == FORMATS[0] {
-                    image::load_from_memory_with_format(bytes, ImageFormat::Jpeg).ok().map(|p| p.into_rgb8())
+                    image::load_from_memory_with_format(bytes, ImageFormat::Jpeg)
+                        .ok()
+                        .map(image::DynamicImage::into_rgb8)
                 } else {
                     from_yuyv(format, bytes)
                 };

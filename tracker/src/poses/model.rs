@@ -1,5 +1,6 @@
 //! An existing COLMAP model as the cameras of a take.
 
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -138,10 +139,11 @@ pub fn load(dir: impl AsRef<Path>, take: &Take, first: u32, reporter: &dyn Repor
     for (&id, image) in &model.images {
         let frame = FrameIndex::from_image_name(&image.name, first).filter(|f| (f.0 as usize) < frames);
         let Some(FrameIndex(frame)) = frame.filter(|_| lenses.contains_key(&image.camera_id)) else { continue };
-        if image_of.contains_key(&frame) {
-            duplicates += 1;
-        } else {
-            image_of.insert(frame, id);
+        match image_of.entry(frame) {
+            Entry::Occupied(_) => duplicates += 1,
+            Entry::Vacant(place) => {
+                place.insert(id);
+            }
         }
     }
     if image_of.is_empty() {

@@ -13,6 +13,11 @@ const REFINED: usize = 6;
 /// A first look takes offsets this far apart, seconds: a head turns little in that time.
 const COARSE_SECS: f64 = 0.05;
 
+/// Steps this close to a whole number are tried as one.
+const NEARLY: f64 = 0.02;
+/// A rule of whole frames is kept unless another has an error this many times smaller.
+const CLEARLY: f64 = 1.1;
+
 /// The best rule there is, its frames, and how far its mean face lies from the landmarks, pixels.
 pub(super) fn wide(
     ways: &[Way],
@@ -40,7 +45,11 @@ pub(super) fn wide(
             .iter()
             .flat_map(|&((index, step, offset), _)| {
                 let tilt = reach / (ways[index].span() as f64).max(1.0);
-                let steps = if step.fract() == 0.0 { vec![step] } else { vec![step - tilt, step, step + tilt] };
+                let mut steps = if step.fract() == 0.0 { vec![step] } else { vec![step - tilt, step, step + tilt] };
+                // Rates that are nearly whole, such as 30000/1001, are tried as whole ones too.
+                steps.extend(
+                    Some(step.round()).filter(|w| step.fract() != 0.0 && (w - step).abs() < NEARLY && *w > 0.0),
+                );
                 let offsets = [-reach, -0.5 * reach, 0.0, 0.5 * reach, reach];
                 steps.into_iter().flat_map(move |s| offsets.map(|o| (index, s, snapped(s, offset + o))))
             })
@@ -54,7 +63,14 @@ pub(super) fn wide(
         let score = evidence.score(&frames, EXACT)?;
         Some((rule, frames, score.error_px))
     });
-    exact.min_by(|a, b| a.2.total_cmp(&b.2))
+    let exact: Vec<_> = exact.collect();
+    let best = exact.iter().map(|e| e.2).fold(f64::INFINITY, f64::min);
+    // Pictures are counted in whole frames unless something else fits clearly better.
+    let chosen = |whole: bool| {
+        let of_kind = exact.iter().filter(move |e| !whole || e.0.step.fract() == 0.0);
+        of_kind.min_by(|a, b| a.2.total_cmp(&b.2)).filter(|e| e.2 <= CLEARLY * best)
+    };
+    chosen(true).or_else(|| chosen(false)).cloned()
 }
 
 /// Whole steps have whole offsets.
