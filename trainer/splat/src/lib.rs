@@ -5,7 +5,7 @@
 //!                                                      └──────▶ render
 //! ```
 //!
-//! No files, no printing. [`reference`] is the readable f64 twin of the kernels. Sources: 3D Gaussian splatting (Kerbl et
+//! No files, no printing. [`mod@reference`] is the readable f64 twin of the kernels. Sources: 3D Gaussian splatting (Kerbl et
 //! al. 2023), antialiased as in Mip-Splatting (Yu et al. 2024), AU deltas as linear bases, without a 3DMM.
 
 #![allow(clippy::inline_always, reason = "kernels are compiled once per instruction set, with all they call inside")]
