@@ -45,11 +45,7 @@ pub(super) fn wide(
             .iter()
             .flat_map(|&((index, step, offset), _)| {
                 let tilt = reach / (ways[index].span() as f64).max(1.0);
-                let mut steps = if step.fract() == 0.0 { vec![step] } else { vec![step - tilt, step, step + tilt] };
-                // Rates that are nearly whole, such as 30000/1001, are tried as whole ones too.
-                steps.extend(
-                    Some(step.round()).filter(|w| step.fract() != 0.0 && (w - step).abs() < NEARLY && *w > 0.0),
-                );
+                let steps = if step.fract() == 0.0 { vec![step] } else { vec![step - tilt, step, step + tilt] };
                 let offsets = [-reach, -0.5 * reach, 0.0, 0.5 * reach, reach];
                 steps.into_iter().flat_map(move |s| offsets.map(|o| (index, s, snapped(s, offset + o))))
             })
@@ -57,7 +53,13 @@ pub(super) fn wide(
         ranked = self::ranked(&around, ways, subject, evidence);
         ranked.truncate(REFINED);
     }
-    let exact = ranked.into_iter().filter_map(|((index, step, offset), _)| {
+    let mut last: Vec<(usize, f64, f64)> = ranked.into_iter().map(|(tried, _)| tried).collect();
+    for (index, step, offset) in last.clone() {
+        if step.fract() != 0.0 && (step - step.round()).abs() < NEARLY && step.round() > 0.0 {
+            last.extend([-1.0, 0.0, 1.0].map(|o| (index, step.round(), offset.round() + o)));
+        }
+    }
+    let exact = last.into_iter().filter_map(|(index, step, offset)| {
         let rule = ways[index].rule(offset, step);
         let frames = ways[index].frames(&rule, subject);
         let score = evidence.score(&frames, EXACT)?;
