@@ -74,6 +74,18 @@ impl AttributeTable {
         self.attributes.iter().position(|a| a.unit == unit)
     }
 
+    /// The regions that an AU acts in beside its own, where the table has regions of these names.
+    ///
+    /// AU09 belongs to the eyes, but its muscle (levator labii superioris alaeque nasi, FACS) lifts the lip and wrinkles the
+    /// nose, and the brows come down with it: on a capture with exact truth the mouth's landmarks move five times as far as
+    /// those of the eyes.
+    pub fn others_of(&self, attribute: &AttributeSpec) -> impl Iterator<Item = usize> {
+        const NOSE_WRINKLER: ActionUnit = ActionUnit(9);
+        let (own, everywhere) = (attribute.region, attribute.unit == NOSE_WRINKLER);
+        let known = |name: &str| ["brow", "eye", "mouth"].contains(&name);
+        (0..self.regions.len()).filter(move |&r| everywhere && r != own && known(&self.regions[r]))
+    }
+
     /// The AUs of each region as indices into `attributes`.
     pub fn groups(&self) -> Vec<Vec<usize>> {
         (0..self.regions.len())

@@ -75,6 +75,7 @@ pub(crate) fn of_settings(settings: &SplatSettings) -> Checked {
     }
     let [first, last] = s.densify_between;
     let shares = [
+        ("seed_share", s.seed_share),
         ("coarse_share", s.coarse_share),
         ("mean_final", s.mean_final),
         ("final_rate", s.final_rate),
@@ -112,6 +113,7 @@ pub(crate) fn of_layout(layout: &Layout, bytes: usize) -> Checked {
     for &region in &layout.region_of {
         within("layout.region_of", region, 0..=layout.regions.saturating_sub(1))?;
     }
+    within("layout.also_in", layout.also_in.len(), 0..=layout.region_of.len())?;
     within("layout.latent", layout.latent, 0..=LATENT)?;
     within("layout.images", layout.images, 0..=bytes.max(1 << 24))
 }

@@ -108,3 +108,21 @@ fn scenes_that_lack_something_are_fitted() {
         }
     }
 }
+
+/// What two pictures of the same expression differ in is learned by the images' codes. Codes and their deltas that both
+/// begin at zero have no gradient: they would stay there, and nobody would see it.
+#[test]
+fn latent_codes_learn_what_no_au_tells() {
+    let ball = Ball::new(VIEWS);
+    let mut scene = ball.scene();
+    // The same annotation for two different faces.
+    scene.frames.iter_mut().for_each(|f| f.activations = Some(vec![0.0]));
+    let error = |latent: bool| {
+        let settings = Settings { gaussians: 1_000, latent, code_share: 1.0, ..Settings::default() };
+        let mut fit = Fitter::new(&scene, settings, &|_| {});
+        let errors: Vec<f64> = (0..240u16).map(|i| fit.step(&scene, f32::from(i) / 240.0).color).collect();
+        errors[200..].iter().sum::<f64>() / 40.0
+    };
+    let (with, without) = (error(true), error(false));
+    assert!(with < 0.7 * without, "mean squared error {with} with codes, {without} without");
+}

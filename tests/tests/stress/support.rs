@@ -175,6 +175,7 @@ impl Ball {
         Scene {
             frames: (0..self.cameras.len()).map(frame).collect(),
             region_of: vec![0],
+            also_in: Vec::new(),
             regions: 1,
             face_radius_m: RADIUS as f32,
             head_hull: None,
@@ -207,7 +208,7 @@ fn picture(camera: &Camera, raised: bool) -> (Vec<u8>, Vec<u8>) {
 /// A model of 64 Gaussians in a block, of which the first half carries deltas of two AUs.
 pub(crate) fn block() -> Gaussians {
     use risorius_splat::model::{DELTAS, LANES, REGIONS, channel};
-    let layout = Layout { region_of: vec![0, 1], regions: 2, latent: 0, images: 1 };
+    let layout = Layout { region_of: vec![0, 1], also_in: Vec::new(), regions: 2, latent: 0, images: 1 };
     let (groups, deformable) = (4, 2);
     let mut base = vec![0.0; groups * channel::COUNT * LANES];
     for i in 0..groups * LANES {

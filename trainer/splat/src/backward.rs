@@ -6,7 +6,7 @@
 
 use crate::bin::Line;
 use crate::model::channel;
-use crate::project::{Blended, Geometry, LEAST_RATIO, LOW_PASS, SH_C1, direction};
+use crate::project::{Blended, Geometry, LEAST_RATIO, LOW_PASS, MOST_OPACITY, SH_C1, direction};
 use crate::simd::{F, Row, Simd, transpose};
 use crate::view::View;
 
@@ -73,7 +73,10 @@ pub(crate) fn backward<S: Simd>(
     ];
     // Where the low-pass' share was cut at its least, the compensation has no slope.
     let counts = F::splat(LEAST_RATIO * 1.000_01).lt(geo.ratio);
-    let share = counts.select(sums[0] * half, zero);
+    // Where the opacity was cut at its most, it has none either.
+    let free = (geo.opacity * geo.ratio.sqrt()).lt(F::splat(MOST_OPACITY));
+    let opaque = free.select(sums[0], zero);
+    let share = counts.select(opaque * half, zero);
     let inverse0 = one.over(geo.det0.max(F::splat(1e-30)));
     g2[0] = share.fma(counts.select(c0 * inverse0, zero) - conic[0], g2[0]);
     g2[1] = share.fma(counts.select(-off * inverse0, zero) - conic[1], g2[1]);
@@ -136,7 +139,7 @@ pub(crate) fn backward<S: Simd>(
     for c in 0..3 {
         base[c] = (d[c].fnma(along, g_d[c]) * distance_inverse).fma(F::splat(SH_C1), base[c]);
     }
-    base[channel::OPACITY] = sums[0] * (one - geo.opacity);
+    base[channel::OPACITY] = opaque * (one - geo.opacity);
     Gradients { base, t, turn: turn(geo, &g_n), pixel: [d_u, d_v] }
 }
 

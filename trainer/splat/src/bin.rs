@@ -57,7 +57,7 @@ pub(crate) struct Bins {
     pub starts: Vec<u32>,
     /// Tile-major: slot of each entry.
     pub slots: Vec<u32>,
-    /// Tile-major: blocks that the entry meets, row by row.
+    /// Tile-major: blocks that the entry meets, column by column.
     pub masks: Vec<u16>,
     /// Splat-major: where each pair stands among the entries. Pairs of one slot are neighbours.
     pub position: Vec<u32>,
@@ -251,21 +251,19 @@ fn sort_by_key(list: &mut Vec<(u32, u32)>, scratch: &mut Vec<(u32, u32)>) {
 /// Records are fetched this many Gaussians ahead.
 const AHEAD: usize = 12;
 
-/// The first block of four pixels whose centres reach beyond `p`.
+/// First and last block of a packed range, see [`record::COLUMNS`].
 #[inline(always)]
-fn first_block(p: f32) -> i32 {
-    // Rounded up: a truncated number that is not negative, one more where something was cut off.
-    let x = ((p - 3.5) * 0.25).clamp(0.0, 1e6);
-    let whole = x as i32;
-    whole + i32::from(x > whole as f32)
+fn unpack(range: f32) -> (u32, u32) {
+    const PACK: u32 = record::PACK as u32;
+    let both = range as u32;
+    (both % PACK, both / PACK)
 }
 
-/// The last block of four pixels, of `most`, whose centres begin before `p`; −1 if there is none.
+/// Of the blocks `from..=to` those of the tile that begins at block `at`, a bit for each at 0, 1, 2, 3 times `step`.
 #[inline(always)]
-fn last_block(p: f32, most: i32) -> i32 {
-    let x = ((p - 0.5) * 0.25).clamp(-1.0, 1e6);
-    let whole = x as i32;
-    (whole - i32::from(x < whole as f32)).min(most - 1)
+fn bits_in_tile(from: u32, to: u32, at: u32, step: u32) -> u32 {
+    let (first, end) = (from.max(at) - at, to.min(at + 3) + 1 - at);
+    ((1 << (end * step)) - (1 << (first * step))) & if step == 4 { 0x1111 } else { 0xf }
 }
 
 struct EmitChunk<'a> {
@@ -279,88 +277,73 @@ impl Task for EmitChunk<'_> {
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self) {
+        const PER_TILE: u32 = (TILE / BLOCKS) as u32;
         let Chunk { pairs, counts } = self.chunk;
         pairs.clear();
         let columns = self.view.columns();
-        let block_columns = self.view.width.div_ceil(BLOCKS) as i32;
-        let block_rows = self.view.height.div_ceil(BLOCKS) as i32;
-        let per_tile = (TILE / BLOCKS) as i32;
+        let mut push = |row: u32, column: u32, slot: u32, mask: u32| {
+            let tile = row as usize * columns + column as usize;
+            counts[tile] += 1;
+            pairs.push(Pair { tile: tile as u32, slot, mask: mask as u16 });
+        };
         let mut lanes = [0.0f32; 16];
         for (i, lane) in lanes.iter_mut().enumerate() {
-            *lane = (i * BLOCKS) as f32;
+            *lane = i as f32;
         }
         let lanes = F::<S>::load(&lanes);
-        // The leftmost and rightmost blocks of 16 rows of blocks.
-        let (mut left, mut right) = ([0.0f32; 16], [0.0f32; 16]);
+        let (zero, half, quarter, none) = (F::splat(0.0), F::splat(0.5), F::splat(0.25), F::splat(1e6));
         for (i, &(_, slot)) in self.list.iter().enumerate() {
             if let Some(&(_, later)) = self.list.get(i + AHEAD) {
                 prefetch::<S, Line>(self.records, later as usize);
             }
             let r = &self.records[slot as usize].0;
-            let (u, v) = (r[record::U], r[record::V]);
-            let (hw, hh) = (r[record::HALF], r[record::HALF + 1]);
-            let (x0, x1) = (first_block(u - hw), last_block(u + hw, block_columns));
-            let (y0, y1) = (first_block(v - hh), last_block(v + hh, block_rows));
-            if x0 > x1 || y0 > y1 {
+            let ((x0, x1), (y0, y1)) = (unpack(r[record::COLUMNS]), unpack(r[record::ROWS]));
+            let (tile_columns, tile_rows) = (x0 / PER_TILE..=x1 / PER_TILE, y0 / PER_TILE..=y1 / PER_TILE);
+            if x1 - x0 <= 1 && y1 - y0 <= 1 {
+                for row in tile_rows {
+                    let rows = bits_in_tile(y0, y1, row * PER_TILE, 1);
+                    for column in tile_columns.clone() {
+                        push(row, column, slot, rows * bits_in_tile(x0, x1, column * PER_TILE, 4));
+                    }
+                }
                 continue;
             }
-            let mut tile_row = y0 / per_tile;
-            while tile_row * per_tile <= y1 {
-                // Rows of blocks go 16 at a time, from a tile's first row on.
-                let begin = tile_row * per_tile;
-                let small = x1 - x0 <= 1 && y1 - y0 <= 1;
-                if small {
-                    left = [x0 as f32; 16];
-                    right = [x1 as f32; 16];
-                } else {
-                    let top = lanes + F::splat(begin as f32 * BLOCKS as f32 + 0.5 - v);
-                    let bottom = top + F::splat(3.0);
-                    let y_right = F::splat(r[record::Y_RIGHT]);
-                    let (e, f) = (F::<S>::splat(r[record::CHORD]), F::splat(r[record::CHORD + 1]));
-                    let (slope, zero) = (F::splat(r[record::SLOPE]), F::splat(0.0));
-                    let chord = |y: F<S>| (y * y).fnma(f, e).max(zero).sqrt();
-                    let y_r = y_right.max(top).min(bottom);
-                    let y_l = (-y_right).max(top).min(bottom);
-                    let quarter = F::splat(0.25);
-                    let x_r = slope.fma(y_r, chord(y_r)) + F::splat(u - 0.5);
-                    let x_l = slope.fma(y_l, -chord(y_l)) + F::splat(u - 3.5);
-                    // Towards the nearest, then outwards: floor and ceiling.
-                    let r_near = (x_r * quarter - F::splat(0.5)).round();
-                    let l_near = (x_l * quarter + F::splat(0.5)).round();
-                    l_near.max(F::splat(x0 as f32)).store(&mut left);
-                    r_near.min(F::splat(x1 as f32)).store(&mut right);
-                }
-                for band in 0..(16 / per_tile).min(y1 / per_tile - tile_row + 1) {
-                    let (mut spans, mut low, mut high) = ([(0i32, -1i32); 4], i32::MAX, i32::MIN);
-                    for (row, span) in spans.iter_mut().enumerate() {
-                        let y = begin + band * per_tile + row as i32;
-                        let at = band as usize * per_tile as usize + row;
-                        if y >= y0 && y <= y1 && left[at] <= right[at] {
-                            *span = (left[at] as i32, right[at] as i32);
-                            low = low.min(span.0);
-                            high = high.max(span.1);
-                        }
+            let (u, v) = (r[record::U], r[record::V]);
+            let y_right = F::splat(r[record::Y_RIGHT]);
+            let (e, f) = (F::<S>::splat(r[record::CHORD]), F::splat(r[record::CHORD + 1]));
+            let slope = F::splat(r[record::SLOPE]);
+            // Rows of blocks go 16 at a time, from a tile's first row on.
+            for four in tile_rows.clone().step_by(4) {
+                let row = lanes + F::splat((four * PER_TILE) as f32);
+                let top = row.fma(F::splat(BLOCKS as f32), F::splat(0.5 - v));
+                let bottom = top + F::splat(3.0);
+                let chord = |y: F<S>| (y * y).fnma(f, e).max(zero).sqrt();
+                let y_r = y_right.max(top).min(bottom);
+                let y_l = (-y_right).max(top).min(bottom);
+                let x_r = slope.fma(y_r, chord(y_r)) + F::splat(u - 0.5);
+                let x_l = slope.fma(y_l, -chord(y_l)) + F::splat(u - 3.5);
+                // The leftmost and rightmost blocks, half a block outwards: whole numbers between them are inside.
+                let right = (x_r * quarter).floor().min(F::splat(x1 as f32)) + half;
+                let left = (-(x_l * quarter)).floor().min(F::splat(-(x0 as f32))) + half;
+                let there = F::splat(y0 as f32 - 0.5).lt(row).and(row.lt(F::splat(y1 as f32 + 0.5)));
+                let left = there.select(-left, none);
+                let last = (tile_rows.end() - four).min(3);
+                for column in tile_columns.clone() {
+                    // Per column of blocks, a bit for each of the 16 rows.
+                    let mut all = 0u64;
+                    for j in 0..PER_TILE {
+                        let x = F::splat((column * PER_TILE + j) as f32);
+                        all |= u64::from(left.lt(x).and(x.lt(right)).bits()) << (16 * j);
                     }
-                    if low > high {
-                        continue;
-                    }
-                    for tile_column in low / per_tile..=high / per_tile {
-                        let at = tile_column * per_tile;
-                        let mut mask = 0u32;
-                        for (row, span) in spans.iter().enumerate() {
-                            let from = (span.0 - at).clamp(0, 4) as u32;
-                            let to = (span.1 - at).clamp(-1, 3) + 1;
-                            let bits = ((1u32 << to) - 1) & !((1u32 << from) - 1);
-                            mask |= bits << (row * 4);
-                        }
+                    for row in 0..=last {
+                        let four_columns = all >> (4 * row) & 0x000f_000f_000f_000f;
+                        let mask =
+                            (four_columns | four_columns >> 12 | four_columns >> 24 | four_columns >> 36) & 0xffff;
                         if mask != 0 {
-                            let tile = (tile_row + band) as usize * columns + tile_column as usize;
-                            counts[tile] += 1;
-                            pairs.push(Pair { tile: tile as u32, slot, mask: mask as u16 });
+                            push(four + row, column, slot, mask as u32);
                         }
                     }
                 }
-                tile_row += 16 / per_tile;
             }
         }
     }

@@ -21,7 +21,8 @@ const LEVELS: [Level; 3] = [Level::Scalar, Level::Avx2, Level::Avx512];
 /// A random scene of `count` Gaussians before a camera, half of them deformable, with five AUs in three regions.
 fn random_model(seed: u64, count: usize) -> Gaussians {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let layout = Layout { region_of: vec![0, 0, 1, 2, 2], regions: 3, latent: 4, images: 3 };
+    let layout =
+        Layout { region_of: vec![0, 0, 1, 2, 2], also_in: vec![0, 0, 0b101], regions: 3, latent: 4, images: 3 };
     let groups = count / LANES;
     let deformable = groups / 2;
     let mut draw = |low: f32, high: f32| rng.random_range(low..high);

@@ -43,6 +43,9 @@ pub mod channel {
 pub struct Layout {
     /// Region of each AU.
     pub region_of: Vec<usize>,
+    /// Regions that an AU acts in beside its own, a bit each; AUs that are not listed have none.
+    #[serde(default)]
+    pub also_in: Vec<u8>,
     /// Number of regions.
     pub regions: usize,
     /// Numbers of a latent code (0 or [`LATENT`]).
@@ -55,6 +58,12 @@ impl Layout {
     /// AUs and numbers of the latent code: all that deltas are blended by.
     pub fn bases(&self) -> usize {
         self.region_of.len() + self.latent
+    }
+
+    /// The regions that basis `k` acts in, a bit each; 0 for the latent code, which no gate holds back.
+    pub fn reach(&self, k: usize) -> u8 {
+        let also = self.also_in.get(k).copied().unwrap_or(0);
+        self.region_of.get(k).map_or(0, |&region| 1 << region.min(REGIONS - 1) | also & ((1 << REGIONS) - 1))
     }
 }
 

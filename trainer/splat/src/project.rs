@@ -11,6 +11,10 @@ use crate::view::{NEAR_M, View};
 pub(crate) const LOW_PASS: f32 = 0.1;
 /// Least share of the opacity that the low-pass leaves, squared.
 pub(crate) const LEAST_RATIO: f32 = 1e-5;
+/// Greatest opacity of a Gaussian, after the low-pass.
+pub(crate) const MOST_OPACITY: f32 = 0.99;
+/// log2 of it.
+const LOG2_MOST: f32 = -0.014_499_57;
 /// First constant of the spherical harmonics of degree 1.
 pub(crate) const SH_C1: f32 = 0.488_602_52;
 /// Half of log2 e, and log2 e.
@@ -23,25 +27,39 @@ const LN_255: f32 = 5.541_263_5;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Active {
     pub basis: usize,
-    /// Region of the gate; [`REGIONS`] for the latent code, which no gate holds back.
-    pub region: usize,
+    /// Regions whose gates let it act, see [`crate::Layout::reach`].
+    pub reach: u8,
     pub value: f32,
 }
 
 /// The activations that are not negligible; with `all`, those too, with the value 0.
 pub(crate) fn active_bases(layout: &crate::Layout, activations: &[f32], all: bool) -> Vec<Active> {
     let aus = layout.region_of.len();
-    let region = |k: usize| if k < aus { layout.region_of[k].min(REGIONS - 1) } else { REGIONS };
     let mut list: Vec<Active> = activations
         .iter()
         .take(layout.bases())
         .enumerate()
         .map(|(k, &a)| (k, if k < aus && a <= LEAST_ACTIVATION { 0.0 } else { a }))
         .filter(|(_, a)| all || *a != 0.0)
-        .map(|(basis, value)| Active { basis, region: region(basis), value })
+        .map(|(basis, value)| Active { basis, reach: layout.reach(basis), value })
         .collect();
-    list.sort_by_key(|a| a.region);
+    list.sort_by_key(|a| a.reach);
     list
+}
+
+/// How much of an AU with this reach acts on the Gaussians of a group with these gates: the most that one of its regions lets.
+#[inline(always)]
+pub(crate) fn gate_of<S: Simd>(gates: &[Row], reach: u8) -> F<S> {
+    if reach == 0 {
+        return F::splat(1.0);
+    }
+    let mut most = F::splat(0.0);
+    for (region, gate) in gates.iter().enumerate() {
+        if reach >> region & 1 != 0 {
+            most = most.max(F::load(gate));
+        }
+    }
+    most
 }
 
 /// Activations up to this are noise of the table.
@@ -80,9 +98,9 @@ pub(crate) fn blend<S: Simd>(
     let Some(deltas) = deltas.map(rows) else { return out };
     let mut i = 0;
     while i < active.len() {
-        let region = active[i].region;
+        let reach = active[i].reach;
         let mut sum = [F::<S>::splat(0.0); DELTAS];
-        while i < active.len() && active[i].region == region {
+        while i < active.len() && active[i].reach == reach {
             let a = F::splat(active[i].value);
             let d = &deltas[active[i].basis * DELTAS..(active[i].basis + 1) * DELTAS];
             for c in 0..DELTAS {
@@ -90,7 +108,7 @@ pub(crate) fn blend<S: Simd>(
             }
             i += 1;
         }
-        let gate = if region < REGIONS { F::load(&gates[region]) } else { F::splat(1.0) };
+        let gate = gate_of::<S>(gates, reach);
         for c in 0..3 {
             out.mean[c] = gate.fma(sum[c], out.mean[c]);
             out.color[c] = gate.fma(sum[3 + c], out.color[c]);
@@ -322,8 +340,12 @@ pub(crate) mod record {
     pub(crate) const LOG2_OPACITY: usize = 5;
     pub(crate) const RGB: usize = 6;
     pub(crate) const DEPTH: usize = 9;
-    /// Half extents at the level 1/255, px.
-    pub(crate) const HALF: usize = 10;
+    /// First and last column of blocks inside the picture that the level 1/255 reaches, packed: first + [`PACK`] · last.
+    pub(crate) const COLUMNS: usize = 10;
+    /// The same of rows.
+    pub(crate) const ROWS: usize = 11;
+    /// More than the blocks along the longest side there may be, see [`crate::view::MOST_SIDE`].
+    pub(crate) const PACK: f32 = 4096.0;
     /// x of the ellipse's chord per y; y of its rightmost point; square of the chord's half length at 0, its loss per y².
     pub(crate) const SLOPE: usize = 12;
     pub(crate) const Y_RIGHT: usize = 13;
@@ -342,14 +364,14 @@ pub(crate) fn project_group<S: Simd>(
     let b = blend_group::<S>(model, active, g);
     let geo = geometry(view, &b);
     let one = F::<S>::splat(1.0);
-    let log2_opacity = log2((geo.opacity * geo.ratio.sqrt()).max(F::splat(1e-30)));
+    let log2_opacity = log2((geo.opacity * geo.ratio.sqrt()).max(F::splat(1e-30))).min(F::splat(LOG2_MOST));
     // P = ln(255 o′); the level of 1/255 is where the squared Mahalanobis distance is 2 P.
     let level = (log2_opacity.fma(F::splat(std::f32::consts::LN_2), F::splat(LN_255))) * 2.0;
     let low = F::splat(LOW_PASS);
     let (a, c, off) = (geo.covariance[0] + low, geo.covariance[2] + low, geo.covariance[1]);
     let half = [(level * a).max(F::splat(0.0)).sqrt(), (level * c).max(F::splat(0.0)).sqrt()];
     let [u, v] = geo.pixel;
-    let zero = F::splat(0.0);
+    let (zero, half_block) = (F::splat(0.0), F::splat(0.5));
     let visible = geo
         .inside
         .and(zero.lt(level))
@@ -357,7 +379,19 @@ pub(crate) fn project_group<S: Simd>(
         .and(zero.lt(v + half[1]))
         .and((u - half[0]).lt(F::splat(view.width as f32)))
         .and((v - half[1]).lt(F::splat(view.height as f32)));
-    let bits = visible.bits();
+    // Blocks of 4×4 pixels with a pixel's centre inside the ellipse's box, and how many blocks there are.
+    let quarter = F::splat(0.25);
+    let first = |middle: F<S>, half: F<S>| {
+        let p = (middle - half - F::splat(3.5)) * quarter;
+        (-(-p).floor()).max(zero)
+    };
+    let last = |middle: F<S>, half: F<S>, size: usize| {
+        let p = (middle + half - F::splat(0.5)) * quarter;
+        p.floor().min(F::splat(size.div_ceil(4) as f32 - 1.0))
+    };
+    let (x0, x1) = (first(u, half[0]), last(u, half[0], view.width));
+    let (y0, y1) = (first(v, half[1]), last(v, half[1], view.height));
+    let bits = visible.and((x0 - x1).lt(half_block)).and((y0 - y1).lt(half_block)).bits();
     if bits == 0 {
         return 0;
     }
@@ -378,8 +412,8 @@ pub(crate) fn project_group<S: Simd>(
         rgb[1],
         rgb[2],
         geo.t[2],
-        half[0],
-        half[1],
+        x1.fma(F::splat(record::PACK), x0),
+        y1.fma(F::splat(record::PACK), y0),
         slope,
         (off * (level.over(a)).max(zero).sqrt()),
         (level * across),

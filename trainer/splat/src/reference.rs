@@ -6,6 +6,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use risorius_formats::{Camera, Isometry};
 
 use crate::model::{DELTAS, Gaussians, LANES, REGIONS, channel};
+use crate::project::MOST_OPACITY;
 use crate::scene::camera_from_head;
 
 const LOW_PASS: f64 = 0.1;
@@ -48,7 +49,10 @@ pub fn blended(model: &Gaussians, slot: usize, activations: &[f64]) -> [f64; DEL
         if is_au && a <= f64::from(crate::project::LEAST_ACTIVATION) {
             continue;
         }
-        let gate = if is_au { f64::from(model.gates[(g * REGIONS + layout.region_of[k]) * LANES + lane]) } else { 1.0 };
+        let reach = layout.reach(k);
+        let of_region = |r: usize| f64::from(model.gates[(g * REGIONS + r) * LANES + lane]);
+        let gate = (0..REGIONS).filter(|r| reach >> r & 1 != 0).map(of_region).fold(0.0, f64::max);
+        let gate = if is_au { gate } else { 1.0 };
         for (c, out) in out.iter_mut().enumerate() {
             *out += a * gate * f64::from(model.deltas[((g * layout.bases() + k) * DELTAS + c) * LANES + lane]);
         }
@@ -107,7 +111,7 @@ pub fn project(
     let (a, c) = (a0 + LOW_PASS, c0 + LOW_PASS);
     let det = a * c - b0 * b0;
     let ratio = (det0 / det).max(LEAST_RATIO);
-    let opacity = ratio.sqrt() / (1.0 + (-v(channel::OPACITY)).exp());
+    let opacity = (ratio.sqrt() / (1.0 + (-v(channel::OPACITY)).exp())).min(f64::from(MOST_OPACITY));
     let center = room.camera_center() * (1.0 - h) + head.camera_center() * h;
     let d = (mean - center).normalize_or_zero();
     let sh = |b: usize, c: usize| v(channel::SH1 + 3 * b + c);
@@ -145,7 +149,7 @@ pub fn composite(list: &[Projected], pixel: DVec2, backdrop: [f64; 3]) -> ([f64;
     for p in list {
         let d = pixel - p.pixel;
         let sigma = 0.5 * (p.conic[0] * d.x * d.x + p.conic[2] * d.y * d.y) + p.conic[1] * d.x * d.y;
-        let alpha = (p.opacity * (-sigma).exp()).min(f64::from(crate::raster::MOST_ALPHA));
+        let alpha = p.opacity * (-sigma).exp();
         if alpha * 255.0 <= 1.0 {
             continue;
         }
@@ -202,8 +206,7 @@ pub fn composite_backward(
         let d = pixel - p.pixel;
         let [a, b, c] = p.conic;
         let sigma = 0.5 * (a * d.x * d.x + c * d.y * d.y) + b * d.x * d.y;
-        let free = p.opacity * (-sigma).exp();
-        let alpha = free.min(f64::from(crate::raster::MOST_ALPHA));
+        let alpha = p.opacity * (-sigma).exp();
         if alpha * 255.0 <= 1.0 {
             continue;
         }
@@ -214,9 +217,6 @@ pub fn composite_backward(
             out[6 + k] += g[k] * t * alpha;
         }
         t *= 1.0 - alpha;
-        if free > alpha {
-            continue;
-        }
         let q = alpha * d_alpha;
         out[0] += q * (a * d.x + b * d.y);
         out[1] += q * (c * d.y + b * d.x);

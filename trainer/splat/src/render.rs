@@ -104,11 +104,11 @@ impl Task for DrawRow<'_> {
             }
             match moving {
                 Some(moving) => tile.load_both(bins, moving, index, columns),
-                None => tile.load(bins, index, columns),
+                None => tile.load::<S>(bins, index, columns),
             }
             tile.composite::<S>(width, height);
             for block in 0..TILE_BLOCKS {
-                let (x0, y0) = (tile.left + block % 4 * 4, block / 4 * 4);
+                let (x0, y0) = (tile.corner(block).0, tile.corner(block).1 - tile.top);
                 if x0 >= width || tile.top + y0 >= height {
                     continue;
                 }
@@ -212,7 +212,7 @@ impl<'a> Renderer<'a> {
     fn changed_regions(&self, before: &[f32], now: &[f32]) -> u8 {
         let layout = &self.model.layout;
         let at = |list: &[f32], k: usize| list.get(k).copied().unwrap_or(0.0);
-        let region = |k: usize| layout.region_of.get(k).map_or(CODE, |&r| 1 << r);
+        let region = |k: usize| if k < layout.region_of.len() { layout.reach(k) } else { CODE };
         (0..layout.bases()).filter(|&k| at(before, k) != at(now, k)).fold(0, |bits, k| bits | region(k))
     }
 

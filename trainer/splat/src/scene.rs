@@ -44,6 +44,8 @@ pub struct Scene<'a> {
     pub frames: Vec<Frame<'a>>,
     /// Region of each AU.
     pub region_of: Vec<usize>,
+    /// Regions that an AU acts in beside its own, a bit each; AUs that are not listed have none.
+    pub also_in: Vec<u8>,
     /// Number of regions, at most [`crate::model::REGIONS`].
     pub regions: usize,
     /// Radius of the face about the origin: its farthest landmark, metres.

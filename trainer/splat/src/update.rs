@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::backward::{Gradients, backward, gather};
 use crate::bin::{Bins, Line};
 use crate::model::{DELTAS, Gaussians, LANES, REGIONS, channel};
-use crate::project::{Active, blend, geometry};
+use crate::project::{Active, blend, gate_of, geometry};
 use crate::simd::{self, F, M, Simd, Task, prefetch, rows, rows_mut};
 use crate::view::View;
 
@@ -302,7 +302,7 @@ fn group<S: Simd>(
     }
     if let Some(d) = deltas {
         for (i, active) in evidence.active.iter().enumerate() {
-            let gate = if active.region < REGIONS { F::<S>::load(&gates[active.region]) } else { F::splat(1.0) };
+            let gate = gate_of::<S>(gates, active.reach);
             let share = gate * active.value;
             let correction = F::splat(evidence.correction[i]);
             let mut along = zero;

@@ -241,7 +241,7 @@ fn run_tracker(settings: &ControlSettings, take: &Path) -> Result<()> {
     })
 }
 
-/// Raises each AU alone to the strongest that the capture saw and measures what changes outside its region's mask.
+/// Raises each AU alone to the strongest that the capture saw and measures what changes outside the masks of its regions.
 pub fn decoupling(avatar: &Avatar, folder: &Path, reporter: &dyn Reporter) -> Result<Decoupling> {
     let table = &avatar.saved.table;
     let camera = view_camera(avatar, 0);
@@ -258,8 +258,10 @@ pub fn decoupling(avatar: &Avatar, folder: &Path, reporter: &dyn Reporter) -> Re
         if spec.active {
             let raised = neutral.with(k, spec.scale().most());
             let edited = studio.render(&camera, &raised, reporter)?;
-            let spill = spill(&rest, &edited, spec.region);
-            units.push(Spill { unit: spec.unit.to_string(), region: table.regions[spec.region].clone(), ..spill });
+            let regions: Vec<usize> = std::iter::once(spec.region).chain(table.others_of(spec)).collect();
+            let spill = spill(&rest, &edited, &regions);
+            let names: Vec<&str> = regions.iter().map(|&r| table.regions[r].as_str()).collect();
+            units.push(Spill { unit: spec.unit.to_string(), region: names.join(", "), ..spill });
             write_png(&folder.join(format!("{}.png", spec.unit)), &difference(&rest, &edited))?;
         }
         reporter.advance(1);
@@ -275,13 +277,13 @@ pub fn decoupling(avatar: &Avatar, folder: &Path, reporter: &dyn Reporter) -> Re
     })
 }
 
-fn spill(rest: &Render, edited: &Render, region: usize) -> Spill {
+fn spill(rest: &Render, edited: &Render, regions: &[usize]) -> Spill {
     let mut outside = [0u64; 256];
     let mut faint_max = 0;
     let (mut inside_sum, mut inside_count) = (0.0, 0usize);
     let (a, b) = (rest.rgb.as_raw().as_chunks::<3>().0, edited.rgb.as_raw().as_chunks::<3>().0);
     for (i, (a, b)) in a.iter().zip(b).enumerate() {
-        let mask = rest.masks[region][i].max(edited.masks[region][i]);
+        let mask = regions.iter().map(|&r| rest.masks[r][i].max(edited.masks[r][i])).fold(0.0, f32::max);
         for (a, b) in a.iter().zip(b) {
             let change = a.abs_diff(*b);
             if mask < FAINT {
@@ -369,13 +371,13 @@ mod tests {
         }
         let mut edited = rest.clone();
         edited.rgb.put_pixel(3, 1, image::Rgb([200, 128, 128]));
-        let clean = spill(&rest, &edited, 1);
+        let clean = spill(&rest, &edited, &[1]);
         assert_eq!((clean.outside_max, clean.outside_999), (0, 0));
         assert!(clean.inside_mean > 0.0 && clean.faint_max == 0);
         edited.rgb.put_pixel(3, 8, image::Rgb([128, 131, 128]));
         edited.rgb.put_pixel(4, 8, image::Rgb([128, 128, 137]));
         edited.masks[1][84] = 0.01;
-        let spilt = spill(&rest, &edited, 1);
+        let spilt = spill(&rest, &edited, &[1]);
         assert_eq!((spilt.outside_max, spilt.faint_max), (3, 9));
         assert!((spilt.outside_mean - 3.0 / 147.0).abs() < 1e-12);
     }

@@ -1,5 +1,6 @@
 //! A dataset as the Gaussian field sees it: metres, activations, masks.
 
+use risorius_formats::attribute::AttributeTable;
 use risorius_formats::{AuScale, Isometry};
 use risorius_splat::model::REGIONS;
 use risorius_splat::{Frame, Plate as PlateOfScene, Scene};
@@ -41,6 +42,7 @@ impl<'a> SceneData<'a> {
         Scene {
             frames: data.frames.iter().map(|f| frame_of(f, space, &scales, known)).collect(),
             region_of: data.table.attributes.iter().map(|a| a.region).collect(),
+            also_in: also_in(&data.table),
             regions: data.table.regions.len(),
             face_radius_m: space.face_radius_m(data) as f32,
             head_hull: hull.map(|corners| corners.iter().map(|c| space.point(*c)).collect()),
@@ -52,6 +54,11 @@ impl<'a> SceneData<'a> {
             neutral_frame: data.neutral_frame(),
         }
     }
+}
+
+/// The regions that each AU acts in beside its own, a bit each.
+fn also_in(table: &AttributeTable) -> Vec<u8> {
+    table.attributes.iter().map(|a| table.others_of(a).fold(0, |bits, region| bits | 1 << region)).collect()
 }
 
 fn frame_of<'a>(frame: &'a TrainFrame, space: &MetricSpace, scales: &[AuScale], known: bool) -> Frame<'a> {

@@ -4,7 +4,7 @@ use super::*;
 
 /// Some groups with numbers of the sizes that fits have.
 fn lively(groups: usize, deformable: usize) -> Gaussians {
-    let layout = Layout { region_of: vec![0, 1, 2, 2], regions: 3, latent: LATENT, images: 7 };
+    let layout = Layout { region_of: vec![0, 1, 2, 2], also_in: vec![0, 4], regions: 3, latent: LATENT, images: 7 };
     let wave = |i: usize, size: f32| ((i * 7919 % 1009) as f32 / 504.5 - 1.0) * size;
     let many = |count: usize, size: f32| (0..count).map(|i| wave(i, size)).collect::<Vec<f32>>();
     Gaussians {
@@ -69,7 +69,7 @@ fn eighty_thousand_gaussians_fit_into_eight_megabytes() {
     let path = folder.path().join("model.safetensors");
     let mut model = lively(5000, 1250);
     // What the project has: 17 AUs, and a latent code that pictures do without.
-    model.layout = Layout { region_of: vec![0; 17], regions: 1, latent: 0, images: 700 };
+    model.layout = Layout { region_of: vec![0; 17], also_in: Vec::new(), regions: 1, latent: 0, images: 700 };
     model.deltas = vec![1e-3; 1250 * 17 * DELTAS * LANES];
     write(&path, &model, None).unwrap();
     let megabytes = std::fs::metadata(&path).unwrap().len() as f64 * 1e-6;

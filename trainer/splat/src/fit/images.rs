@@ -1,6 +1,7 @@
 //! What belongs to single images: α and β of eq. 17, latent codes, poses.
 
 use glam::DVec3;
+use rand::Rng;
 use risorius_formats::Isometry;
 
 use crate::model::LATENT;
@@ -9,6 +10,8 @@ use crate::update::Whole;
 
 /// Least log β.
 const LOG_BETA_FLOOR: f32 = -4.0;
+/// Codes begin with numbers up to this.
+const FIRST_CODE: f32 = 0.1;
 /// Adam's ε for these numbers.
 const EPSILON: f32 = 1e-8;
 
@@ -46,11 +49,12 @@ pub(super) struct ImageRates {
 }
 
 impl PerImage {
-    pub(super) fn new(images: usize, aus: usize) -> Self {
+    /// Nothing but small codes, drawn from `rng`: were they zero, they and the deltas that they weigh would have no gradient.
+    pub(super) fn new(images: usize, aus: usize, rng: &mut impl Rng) -> Self {
         let mut out = Self {
             alphas: vec![0.0; images * aus],
             log_betas: vec![-1.0; images * aus],
-            codes: vec![0.0; images * LATENT],
+            codes: (0..images * LATENT).map(|_| rng.random_range(-FIRST_CODE..FIRST_CODE)).collect(),
             head_motions: vec![0.0; images * 6],
             camera_motions: vec![0.0; images * 6],
             moments: Vec::new(),

@@ -12,6 +12,8 @@ pub struct Settings {
     pub seed: u64,
     /// Gaussians that the fit grows to.
     pub gaussians: usize,
+    /// Share of them that a fit begins with; the others grow where pictures ask for them.
+    pub seed_share: f32,
     /// Edge of the voxels that depth maps are fused in: head, background, millimetres.
     pub voxel_mm: [f32; 2],
     /// Share of the fit at reduced size.
@@ -73,11 +75,12 @@ impl Default for Settings {
         Self {
             seed: 0,
             gaussians: 80_000,
+            seed_share: 0.5,
             voxel_mm: [2.4, 6.0],
             coarse_share: 0.15,
             mean_px: 0.3,
             mean_final: 0.02,
-            depth_factor: 1.5,
+            depth_factor: 0.75,
             delta_factor: 0.25,
             log_scale_rate: 8e-3,
             quaternion_rate: 4e-3,

@@ -42,6 +42,7 @@ fn scene(pictures: &[Picture]) -> Scene<'_> {
     Scene {
         frames: frames.collect(),
         region_of: vec![0, 1, 2],
+        also_in: Vec::new(),
         regions: 3,
         face_radius_m: 0.1,
         head_hull: None,

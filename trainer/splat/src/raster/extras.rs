@@ -1,7 +1,7 @@
 //! What a picture tells besides colours: values of Gaussians composited with the colours' weights (depth, region
 //! memberships, the head's share), and the gradient of such values.
 
-use super::{LOG2_LEAST, LOG2_MOST, TILE_BLOCKS, Tile, exponent};
+use super::{LOG2_LEAST, TILE_BLOCKS, Tile, exponent};
 use crate::bin::{Bins, Line};
 use crate::project::record;
 use crate::raster::CENTERS;
@@ -45,12 +45,12 @@ impl Task for ExtraRow<'_> {
         let mut values: Vec<Extra> = Vec::new();
         for column in 0..columns {
             let index = row * columns + column;
-            tile.load(bins, index, columns);
+            tile.load::<S>(bins, index, columns);
             values.clear();
             values.extend(bins.slots[bins.entries(index)].iter().map(|&s| extras(s)));
             for block in 0..TILE_BLOCKS {
                 let sums = block_extras::<S>(tile, block, &values);
-                let (x0, y0) = (tile.left + block % 4 * 4, block / 4 * 4);
+                let (x0, y0) = (tile.corner(block).0, tile.corner(block).1 - tile.top);
                 for i in 0..16 {
                     let (x, y) = (x0 + i % 4, y0 + i / 4);
                     if x < width && tile.top + y < height {
@@ -81,7 +81,7 @@ fn block_extras<S: Simd>(tile: &Tile, block: usize, values: &[Extra]) -> [Line; 
 /// Hands out the weight T α of each entry that a block meets, front to back.
 #[inline(always)]
 fn weights<S: Simd>(tile: &Tile, block: usize, mut each: impl FnMut(usize, F<S>)) {
-    let (x, y) = (F::<S>::load(&CENTERS[block].0), F::<S>::load(&CENTERS[block].1));
+    let (x, y) = (F::<S>::load(&CENTERS[block][0].0), F::<S>::load(&CENTERS[block][1].0));
     let mut t = F::splat(1.0);
     for (entry, line) in tile.lines.iter().enumerate() {
         if tile.masks[entry] >> block & 1 == 0 {
@@ -89,7 +89,7 @@ fn weights<S: Simd>(tile: &Tile, block: usize, mut each: impl FnMut(usize, F<S>)
         }
         let r = &line.0;
         let e = exponent(r, x - F::splat(r[record::U]), y - F::splat(r[record::V]));
-        let alpha = exp2_fast(e.min(F::splat(LOG2_MOST)));
+        let alpha = exp2_fast(e);
         let w = F::splat(LOG2_LEAST).lt(e).select(t * alpha, F::splat(0.0));
         each(entry, w);
         t = t - w;
@@ -126,7 +126,7 @@ impl Task for WeightRow<'_> {
         let mut values: Vec<[f32; 3]> = Vec::new();
         for column in 0..columns {
             let index = row * columns + column;
-            tile.load(bins, index, columns);
+            tile.load::<S>(bins, index, columns);
             let entries = bins.entries(index);
             values.clear();
             values.extend(bins.slots[entries.clone()].iter().map(|&s| memberships(s)));
@@ -140,7 +140,7 @@ impl Task for WeightRow<'_> {
                     }
                 });
                 let (mut wanted, mut counts) = ([[0.0f32; 16]; 3], [0.0f32; 16]);
-                let (x0, y0) = (tile.left + block % 4 * 4, tile.top + block / 4 * 4);
+                let (x0, y0) = tile.corner(block);
                 for i in 0..16 {
                     let (x, y) = (x0 + i % 4, y0 + i / 4);
                     if x < width && y < height {

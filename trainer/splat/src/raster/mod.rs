@@ -1,7 +1,7 @@
 //! Compositing of a tile, 16 pixels at a time.
 //!
 //! ```text
-//! α = min(0.99, o′ 2^(quadratic form)),  skipped below 1/255;   C += T α c;   T ← T (1 − α);   stop when all T < 1/500
+//! α = o′ 2^(quadratic form),  skipped below 1/255;   C += T α c;   T ← T (1 − α);   stop when all T < 1/500
 //! ```
 //!
 //! A vector is a block of 4×4 pixels. A block takes its Gaussians one after the other with its state in registers; which
@@ -16,28 +16,26 @@ pub(crate) use train::{BACKDROP, CHARBONNIER, RowNumbers, Target, TrainRow, trai
 use crate::TILE;
 use crate::bin::{Bins, Line, depth_key};
 use crate::project::record;
-use crate::simd::{F, M, Row, Simd, exp2_fast, test32};
+use crate::simd::{F, M, Row, Simd, exp2_fast, prefetch, test32};
 
-/// Blocks of a tile.
+/// Records are fetched this many entries ahead.
+const AHEAD: usize = 12;
+/// Blocks of a tile, column by column.
 pub(crate) const TILE_BLOCKS: usize = 16;
-/// Greatest opacity of a Gaussian at a pixel.
-pub(crate) const MOST_ALPHA: f32 = 0.99;
-/// log2 of it.
-const LOG2_MOST: f32 = -0.014_499_57;
 /// log2 of 1/255.
 const LOG2_LEAST: f32 = -7.994_353_4;
 /// What is behind a block that lets no more than this through is hidden.
 pub(crate) const OPAQUE: f32 = 2e-3;
 
 /// Pixel centres of each block from the tile's corner: x, then y.
-pub(crate) static CENTERS: [(Row, Row); TILE_BLOCKS] = {
-    let mut out = [([0.0; 16], [0.0; 16]); TILE_BLOCKS];
+pub(crate) static CENTERS: [[Line; 2]; TILE_BLOCKS] = {
+    let mut out = [[Line::ZERO; 2]; TILE_BLOCKS];
     let mut block = 0;
     while block < TILE_BLOCKS {
         let mut i = 0;
         while i < 16 {
-            out[block].0[i] = (block % 4 * 4 + i % 4) as f32 + 0.5;
-            out[block].1[i] = (block / 4 * 4 + i / 4) as f32 + 0.5;
+            out[block][0].0[i] = (block / 4 * 4 + i % 4) as f32 + 0.5;
+            out[block][1].0[i] = (block % 4 * 4 + i / 4) as f32 + 0.5;
             i += 1;
         }
         block += 1;
@@ -47,7 +45,7 @@ pub(crate) static CENTERS: [(Row, Row); TILE_BLOCKS] = {
 
 /// Which of a block's pixels lie inside a picture, for the tile at (`left`, `top`).
 fn inside(block: usize, left: usize, top: usize, width: usize, height: usize) -> u16 {
-    let (x0, y0) = (left + block % 4 * 4, top + block / 4 * 4);
+    let (x0, y0) = (left + block / 4 * 4, top + block % 4 * 4);
     let columns = width.saturating_sub(x0).min(4);
     let rows = height.saturating_sub(y0).min(4);
     let row = (1u16 << columns) - 1;
@@ -112,12 +110,22 @@ impl Tile {
         self.masks.resize(self.masks.len().next_multiple_of(32), 0);
     }
 
+    /// The first pixel of a block.
+    pub(crate) fn corner(&self, block: usize) -> (usize, usize) {
+        (self.left + block / 4 * 4, self.top + block % 4 * 4)
+    }
+
     /// Copies the entries of tile `index`.
-    pub(crate) fn load(&mut self, bins: &Bins, index: usize, columns: usize) {
+    #[inline(always)]
+    pub(crate) fn load<S: Simd>(&mut self, bins: &Bins, index: usize, columns: usize) {
         (self.left, self.top) = (index % columns * TILE, index / columns * TILE);
         let entries = bins.entries(index);
         self.lines.clear();
-        for &slot in &bins.slots[entries.clone()] {
+        let slots = &bins.slots[entries.clone()];
+        for (i, &slot) in slots.iter().enumerate() {
+            if let Some(&later) = slots.get(i + AHEAD) {
+                prefetch::<S, Line>(&bins.records, later as usize);
+            }
             let mut line = bins.records[slot as usize];
             line.0[record::U] -= self.left as f32;
             line.0[record::V] -= self.top as f32;
@@ -147,7 +155,7 @@ impl Tile {
 
     #[inline(always)]
     fn composite_block<S: Simd>(&mut self, block: usize, mut t: F<S>) {
-        let (x, y) = (F::<S>::load(&CENTERS[block].0), F::<S>::load(&CENTERS[block].1));
+        let (x, y) = (F::<S>::load(&CENTERS[block][0].0), F::<S>::load(&CENTERS[block][1].0));
         let zero = F::splat(0.0);
         let (mut red, mut green, mut blue) = (zero, zero, zero);
         let mut stop = 0;
@@ -161,7 +169,7 @@ impl Tile {
                 let r = &lines[i & 31].0;
                 let (dx, dy) = (x - F::splat(r[record::U]), y - F::splat(r[record::V]));
                 let e = exponent(r, dx, dy);
-                let alpha = exp2_fast(e.min(F::splat(LOG2_MOST)));
+                let alpha = exp2_fast(e);
                 let w = F::splat(LOG2_LEAST).lt(e).select(t * alpha, zero);
                 red = w.fma(F::splat(r[record::RGB]), red);
                 green = w.fma(F::splat(r[record::RGB + 1]), green);

@@ -4,7 +4,7 @@
 //! A = g · (C_final − C so far): `w = Tα; A −= w (g·c); ∂α = T (g·c) − A/(1 − α); q = α ∂α`. The sums of an entry are
 //! Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy², Σw g: all 2D gradients follow from them (see [`crate::update`]).
 
-use super::{CENTERS, LOG2_LEAST, LOG2_MOST, TILE_BLOCKS, Tile, exponent};
+use super::{CENTERS, LOG2_LEAST, TILE_BLOCKS, Tile, exponent};
 use crate::TILE;
 use crate::bin::{Bins, Line};
 use crate::project::record;
@@ -31,6 +31,30 @@ pub(crate) struct Target<'a> {
 }
 
 impl Target<'_> {
+    /// Any block of 4×4 pixels at (x, y) of a picture of `width` × `height`; pixels beyond it do not count.
+    #[inline(always)]
+    fn block<S: Simd>(&self, x: usize, y: usize, width: usize, height: usize) -> Pixels<S> {
+        let (mut rgb, mut backdrop, mut counts) = ([[0.0f32; 16]; 3], [[0.0f32; 16]; 3], [0.0f32; 16]);
+        for i in 0..16 {
+            let (x, y) = (x + i % 4, y + i / 4);
+            if x < width && y < height {
+                let (color, weight, behind) = self.pixel(x, y);
+                for c in 0..3 {
+                    rgb[c][i] = color[c];
+                    backdrop[c][i] = behind[c];
+                }
+                counts[i] = weight;
+            }
+        }
+        let [red, green, blue] = &rgb;
+        let [behind_red, behind_green, behind_blue] = &backdrop;
+        Pixels {
+            rgb: [F::load(red), F::load(green), F::load(blue)],
+            backdrop: [F::load(behind_red), F::load(behind_green), F::load(behind_blue)],
+            counts: F::load(&counts),
+        }
+    }
+
     /// Colours (0–1) and whether they count, backdrop: of the pixel (x, y) of the reduced picture.
     #[inline(always)]
     fn pixel(&self, x: usize, y: usize) -> ([f32; 3], f32, [f32; 3]) {
@@ -60,6 +84,16 @@ impl Target<'_> {
         let behind = if self.backdrop.is_some() { behind.map(|v| v as f32 * scale) } else { [BACKDROP; 3] };
         (sum.map(|v| v as f32 * scale), f32::from(u8::from(counts)), behind)
     }
+}
+
+/// A block of 4×4 pixels of a target.
+struct Pixels<S: Simd> {
+    /// Colours, 0–1.
+    rgb: [F<S>; 3],
+    /// What is behind them.
+    backdrop: [F<S>; 3],
+    /// 1 where a pixel counts, else 0.
+    counts: F<S>,
 }
 
 /// What a row of tiles measured.
@@ -93,20 +127,31 @@ impl Task for TrainRow<'_> {
         let first = bins.entries(row * columns).start;
         for column in 0..columns {
             let index = row * columns + column;
-            tile.load(bins, index, columns);
+            tile.load::<S>(bins, index, columns);
             tile.composite::<S>(width, height);
-            let gradients = loss::<S>(tile, target, width, height, &mut numbers);
+            let mut states = loss::<S>(tile, target, width, height, &mut numbers);
             let entries = bins.entries(index);
-            backward::<S>(tile, &gradients, &mut sums[entries.start - first..entries.end - first]);
+            backward::<S>(tile, &mut states, &mut sums[entries.start - first..entries.end - first]);
         }
         numbers
     }
 }
 
-/// Per block ∂L/∂C, and A at the start.
-struct Gradients {
-    g: [[Line; 3]; TILE_BLOCKS],
-    a: [Line; TILE_BLOCKS],
+/// What the backward pass knows of a block's pixels, side by side: arrays of their own would lie at distances where stores
+/// and loads of different blocks look alike to the processor (4 KiB aliasing).
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+struct BlockState {
+    /// What is let through so far.
+    t: Line,
+    /// A: g · (C − C so far).
+    a: Line,
+    /// ∂L/∂C.
+    g: [Line; 3],
+}
+
+impl BlockState {
+    const ZERO: Self = Self { t: Line::ZERO, a: Line::ZERO, g: [Line::ZERO; 3] };
 }
 
 #[inline(always)]
@@ -116,34 +161,22 @@ fn loss<S: Simd>(
     width: usize,
     height: usize,
     numbers: &mut RowNumbers,
-) -> Gradients {
-    let mut out = Gradients { g: [[Line::ZERO; 3]; TILE_BLOCKS], a: [Line::ZERO; TILE_BLOCKS] };
+) -> [BlockState; TILE_BLOCKS] {
+    let mut out = [BlockState::ZERO; TILE_BLOCKS];
     for block in 0..TILE_BLOCKS {
-        let (mut wanted, mut behind, mut counts) = ([[0.0f32; 16]; 3], [[0.0f32; 16]; 3], [0.0f32; 16]);
-        let (x0, y0) = (tile.left + block % 4 * 4, tile.top + block / 4 * 4);
-        for i in 0..16 {
-            let (x, y) = (x0 + i % 4, y0 + i / 4);
-            if x < width && y < height {
-                let (color, weight, backdrop) = target.pixel(x, y);
-                for c in 0..3 {
-                    wanted[c][i] = color[c];
-                    behind[c][i] = backdrop[c];
-                }
-                counts[i] = weight;
-            }
-        }
-        let counts = F::<S>::load(&counts);
+        let (x0, y0) = tile.corner(block);
+        let Pixels { rgb, backdrop, counts } = target.block::<S>(x0, y0, width, height);
         let t = F::load(&tile.transmittance[block].0);
         let (mut a, mut squared) = (F::splat(0.0), F::splat(0.0));
         for c in 0..3 {
-            let color = t.fma(F::load(&behind[c]), F::load(&tile.color[block][c].0));
-            let d = (color - F::load(&wanted[c])) * counts;
+            let color = t.fma(backdrop[c], F::load(&tile.color[block][c].0));
+            let d = (color - rgb[c]) * counts;
             let g = d.over(d.fma(d, F::splat(CHARBONNIER * CHARBONNIER)).sqrt());
             squared = d.fma(d, squared);
             a = g.fma(color, a);
-            g.store(&mut out.g[block][c].0);
+            g.store(&mut out[block].g[c].0);
         }
-        a.store(&mut out.a[block].0);
+        a.store(&mut out[block].a.0);
         numbers.squared += f64::from(squared.sum());
         numbers.pixels += counts.sum() as usize;
     }
@@ -153,18 +186,17 @@ fn loss<S: Simd>(
 /// The backward pass of a composited tile with a gradient of one half everywhere, for measurements.
 #[inline(always)]
 pub(crate) fn train_block<S: Simd>(tile: &mut Tile, sums: &mut [Line]) {
-    let gradients = Gradients { g: [[Line([0.5; 16]); 3]; TILE_BLOCKS], a: [Line([0.5; 16]); TILE_BLOCKS] };
-    backward::<S>(tile, &gradients, sums);
+    let half = Line([0.5; 16]);
+    let mut states = [BlockState { t: Line::ZERO, a: half, g: [half; 3] }; TILE_BLOCKS];
+    backward::<S>(tile, &mut states, sums);
 }
 
 #[inline(always)]
-fn backward<S: Simd>(tile: &mut Tile, gradients: &Gradients, sums: &mut [Line]) {
+fn backward<S: Simd>(tile: &mut Tile, states: &mut [BlockState; TILE_BLOCKS], sums: &mut [Line]) {
     let zero = F::<S>::splat(0.0);
     let one = F::<S>::splat(1.0);
-    let (mut t, mut a) = ([Line::ZERO; TILE_BLOCKS], gradients.a);
-    for block in 0..TILE_BLOCKS {
-        let bits = if tile.stop[block] > 0 { 1.0 } else { 0.0 };
-        t[block] = Line([bits; 16]);
+    for (state, &stop) in states.iter_mut().zip(&tile.stop) {
+        state.t = Line([if stop > 0 { 1.0 } else { 0.0 }; 16]);
     }
     for (entry, (line, sums)) in tile.lines.iter().zip(sums).enumerate() {
         // Blocks that stopped before this entry take no part.
@@ -182,22 +214,21 @@ fn backward<S: Simd>(tile: &mut Tile, gradients: &Gradients, sums: &mut [Line]) 
         while bits != 0 {
             let block = bits.trailing_zeros() as usize & (TILE_BLOCKS - 1);
             bits &= bits - 1;
-            let (x, y) = (&CENTERS[block].0, &CENTERS[block].1);
-            let (dx, dy) = (F::load(x) - u, F::load(y) - v);
+            let [x, y] = &CENTERS[block];
+            let (dx, dy) = (F::load(&x.0) - u, F::load(&y.0) - v);
             let e = exponent(r, dx, dy);
-            let alpha = exp2_fast(e.min(F::splat(LOG2_MOST)));
+            let alpha = exp2_fast(e);
             let drawn = F::splat(LOG2_LEAST).lt(e);
-            let g = &gradients.g[block];
-            let (g_red, g_green, g_blue) = (F::load(&g[0].0), F::load(&g[1].0), F::load(&g[2].0));
-            let through = F::load(&t[block].0);
+            let state = &mut states[block];
+            let (g_red, g_green, g_blue) = (F::load(&state.g[0].0), F::load(&state.g[1].0), F::load(&state.g[2].0));
+            let through = F::load(&state.t.0);
             let color = g_red.fma(red, g_green.fma(green, g_blue * blue));
             let w = drawn.select(through * alpha, zero);
-            let behind = w.fnma(color, F::load(&a[block].0));
-            behind.store(&mut a[block].0);
-            (through - w).store(&mut t[block].0);
-            let d_alpha = through.fma(color, -(behind * (one - alpha).reciprocal()));
-            // Where α was cut at its most, nothing goes back to opacity and place.
-            let q = drawn.and(e.lt(F::splat(LOG2_MOST))).select(alpha * d_alpha, zero);
+            let behind = w.fnma(color, F::load(&state.a.0));
+            behind.store(&mut state.a.0);
+            (through - w).store(&mut state.t.0);
+            let d_alpha = behind.fnma((one - alpha).reciprocal_rough(), through * color);
+            let q = drawn.select(alpha * d_alpha, zero);
             let (qx, qy) = (q * dx, q * dy);
             s[0] += q;
             s[1] += qx;

@@ -56,10 +56,16 @@ pub trait Simd: Copy + Send + Sync + 'static {
     unsafe fn sqrt(a: Self::V) -> Self::V;
     /// 1 / a to about 1e-6.
     unsafe fn reciprocal(a: Self::V) -> Self::V;
+    /// 1 / a to about 1e-4.
+    unsafe fn reciprocal_rough(a: Self::V) -> Self::V;
     /// The nearest whole number.
     unsafe fn round(a: Self::V) -> Self::V;
+    /// The greatest whole number that is not above a.
+    unsafe fn floor(a: Self::V) -> Self::V;
     /// a · 2^r of a whole number r from −126 to 127.
     unsafe fn scale2(a: Self::V, r: Self::V) -> Self::V;
+    /// a − ⌊a⌋, and what [`Self::scale2`] takes for ⌊a⌋; a is at most 127, below −126 the power is 2⁻¹²⁶ or less.
+    unsafe fn parts(a: Self::V) -> (Self::V, Self::V);
     /// Mantissa in 1..2 and exponent of a positive normal number.
     unsafe fn split(a: Self::V) -> (Self::V, Self::V);
     /// Where a < b.

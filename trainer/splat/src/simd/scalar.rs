@@ -98,6 +98,19 @@ impl Simd for Scalar {
         each!(i => if a[i].abs() < 4_194_304.0 { (a[i] + MAGIC) - MAGIC } else { a[i] })
     }
     #[inline(always)]
+    unsafe fn reciprocal_rough(a: Self::V) -> Self::V {
+        unsafe { Self::reciprocal(a) }
+    }
+    #[inline(always)]
+    unsafe fn floor(a: Self::V) -> Self::V {
+        each!(i => a[i].floor())
+    }
+    #[inline(always)]
+    unsafe fn parts(a: Self::V) -> (Self::V, Self::V) {
+        let whole = each!(i => a[i].max(-126.0).floor());
+        (each!(i => a[i].max(-126.0) - whole[i]), whole)
+    }
+    #[inline(always)]
     unsafe fn scale2(a: Self::V, r: Self::V) -> Self::V {
         each!(i => a[i] * f32::from_bits(((r[i] as i32 + 127) as u32) << 23))
     }

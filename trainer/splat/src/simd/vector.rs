@@ -92,6 +92,16 @@ impl<S: Simd> F<S> {
     pub fn reciprocal(self) -> Self {
         Self(unsafe { S::reciprocal(self.0) })
     }
+    /// 1 / self to about 1e-4.
+    #[inline(always)]
+    pub fn reciprocal_rough(self) -> Self {
+        Self(unsafe { S::reciprocal_rough(self.0) })
+    }
+    /// The greatest whole number that is not above self.
+    #[inline(always)]
+    pub fn floor(self) -> Self {
+        Self(unsafe { S::floor(self.0) })
+    }
     /// The nearest whole number.
     #[inline(always)]
     pub fn round(self) -> Self {
@@ -222,17 +232,16 @@ impl<S: Simd> Neg for F<S> {
     }
 }
 
-/// 2^x for x ≤ 127, relative error 3e-6; 0 below −126. For pixels.
+/// 2^x for x ≤ 127, relative error 4e-6; 2⁻¹²⁶ or less below −126. For pixels.
 #[inline(always)]
 pub fn exp2_fast<S: Simd>(x: F<S>) -> F<S> {
-    let x = x.max(F::splat(-126.0));
-    let r = x.round();
-    let f = x - r;
-    let p = f.fma(F::splat(0.009_570_101), F::splat(0.055_917_86));
-    let p = p.fma(f, F::splat(0.240_247_45));
-    let p = p.fma(f, F::splat(0.693_121_8));
-    let p = p.fma(f, F::splat(0.999_999_3));
-    F(unsafe { S::scale2(p.0, r.0) })
+    let (f, whole) = unsafe { S::parts(x.0) };
+    let f = F::<S>(f);
+    let p = f.fma(F::splat(0.013_534_167), F::splat(0.052_011_46));
+    let p = p.fma(f, F::splat(0.241_442_76));
+    let p = p.fma(f, F::splat(0.693_003_8));
+    let p = p.fma(f, F::splat(1.000_002_7));
+    F(unsafe { S::scale2(p.0, whole) })
 }
 
 /// 2^x clamped to ±126, relative error 1e-7.

@@ -112,12 +112,25 @@ impl Simd for Avx512 {
         }
     }
     #[inline(always)]
+    unsafe fn reciprocal_rough(a: __m512) -> __m512 {
+        unsafe { _mm512_rcp14_ps(a) }
+    }
+    #[inline(always)]
     unsafe fn round(a: __m512) -> __m512 {
         unsafe { _mm512_roundscale_ps::<0x08>(a) }
     }
     #[inline(always)]
+    unsafe fn floor(a: __m512) -> __m512 {
+        unsafe { _mm512_roundscale_ps::<0x09>(a) }
+    }
+    #[inline(always)]
     unsafe fn scale2(a: __m512, r: __m512) -> __m512 {
         unsafe { _mm512_scalef_ps(a, r) }
+    }
+    #[inline(always)]
+    unsafe fn parts(a: __m512) -> (__m512, __m512) {
+        // The instruction that scales takes the floor itself.
+        unsafe { (_mm512_reduce_ps::<0x09>(a), a) }
     }
     #[inline(always)]
     unsafe fn split(a: __m512) -> (__m512, __m512) {
@@ -298,6 +311,22 @@ impl Simd for Avx2 {
     #[inline(always)]
     unsafe fn round(a: Pair) -> Pair {
         unsafe { [_mm256_round_ps::<8>(a[0]), _mm256_round_ps::<8>(a[1])] }
+    }
+    #[inline(always)]
+    unsafe fn reciprocal_rough(a: Pair) -> Pair {
+        unsafe { Self::reciprocal(a) }
+    }
+    #[inline(always)]
+    unsafe fn floor(a: Pair) -> Pair {
+        unsafe { [_mm256_floor_ps(a[0]), _mm256_floor_ps(a[1])] }
+    }
+    #[inline(always)]
+    unsafe fn parts(a: Pair) -> (Pair, Pair) {
+        unsafe {
+            let a = Self::max(a, Self::splat(-126.0));
+            let whole = Self::floor(a);
+            (Self::sub(a, whole), whole)
+        }
     }
     #[inline(always)]
     unsafe fn scale2(a: Pair, r: Pair) -> Pair {
