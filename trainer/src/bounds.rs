@@ -114,6 +114,9 @@ pub(crate) fn of_layout(layout: &Layout, bytes: usize) -> Checked {
         within("layout.region_of", region, 0..=layout.regions.saturating_sub(1))?;
     }
     within("layout.also_in", layout.also_in.len(), 0..=layout.region_of.len())?;
+    for &bits in &layout.also_in {
+        within("layout.also_in", bits.into(), 0..=(1 << layout.regions) - 1)?;
+    }
     within("layout.latent", layout.latent, 0..=LATENT)?;
     within("layout.images", layout.images, 0..=bytes.max(1 << 24))
 }

@@ -93,6 +93,12 @@ pub trait Field: Send + Sync {
         true
     }
 
+    /// The regions that an AU acts in, by its number in the table and its own region, which comes first.
+    fn regions_of(&self, au: usize, own: usize) -> Vec<usize> {
+        let _ = au;
+        vec![own]
+    }
+
     /// Renders with codes between those of two training frames and the attributes that the codes themselves give, as the
     /// paper's interpolation test does; `None` for a field whose attributes do not come from codes.
     fn render_between(

@@ -249,7 +249,7 @@ fn sort_by_key(list: &mut Vec<(u32, u32)>, scratch: &mut Vec<(u32, u32)>) {
 }
 
 /// Records are fetched this many Gaussians ahead.
-const AHEAD: usize = 12;
+pub(crate) const AHEAD: usize = 12;
 
 /// First and last block of a packed range, see [`record::COLUMNS`].
 #[inline(always)]

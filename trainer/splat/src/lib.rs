@@ -34,6 +34,7 @@ pub use model::{Gaussians, Layout};
 pub use render::{Outputs, Picture, Renderer};
 pub use scene::{Frame, Plate, Scene};
 pub use skips::Skips;
+pub use view::MOST_SIDE;
 
 /// Edge of a tile, pixels.
 pub const TILE: usize = 16;

@@ -6,7 +6,7 @@ use risorius_formats::{Camera, Isometry};
 use crate::bin::Bins;
 use crate::model::{Gaussians, LANES, REGIONS};
 use crate::project::{Active, active_bases, record};
-use crate::raster::{BACKDROP, EXTRAS, Extra, ExtraRow, OPAQUE, TILE_BLOCKS, Tile, column};
+use crate::raster::{BACKDROP, EXTRAS, Extra, ExtraRow, OPAQUE, TILE_BLOCKS, Tile, column, corner};
 use crate::simd::{self, F, Simd, Task};
 use crate::skips::Skips;
 use crate::view::View;
@@ -108,7 +108,8 @@ impl Task for DrawRow<'_> {
             }
             tile.composite::<S>(width, height);
             for block in 0..TILE_BLOCKS {
-                let (x0, y0) = (tile.corner(block).0, tile.corner(block).1 - tile.top);
+                let (x0, y0) = corner(block);
+                let x0 = tile.left + x0;
                 if x0 >= width || tile.top + y0 >= height {
                     continue;
                 }

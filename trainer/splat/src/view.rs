@@ -6,7 +6,7 @@ use risorius_formats::{Camera, Isometry};
 use crate::scene::camera_from_head;
 
 /// Pixels along the longest side that a picture may have: binning packs a range of blocks into one number.
-pub(crate) const MOST_SIDE: usize = 16_384;
+pub const MOST_SIDE: usize = 16_384;
 /// Nearest depth that is drawn, metres.
 pub(crate) const NEAR_M: f32 = 0.01;
 /// How far beyond the picture the projection's slope is still followed, in half fields of view (3DGS: 1.3).
@@ -69,7 +69,7 @@ pub(crate) struct View {
 
 impl View {
     /// What `camera` sees of a room and of a head at `room_from_head`. Its picture has at most [`MOST_SIDE`] pixels along a
-    /// side, as every list of views and every video.
+    /// side: callers refuse what has more.
     pub(crate) fn new(camera: &Camera, room_from_head: &Isometry) -> Self {
         let i = &camera.intrinsics;
         assert!(i.width.max(i.height) as usize <= MOST_SIDE, "a picture of {}×{} pixels", i.width, i.height);

@@ -258,7 +258,7 @@ pub fn decoupling(avatar: &Avatar, folder: &Path, reporter: &dyn Reporter) -> Re
         if spec.active {
             let raised = neutral.with(k, spec.scale().most());
             let edited = studio.render(&camera, &raised, reporter)?;
-            let regions: Vec<usize> = std::iter::once(spec.region).chain(table.others_of(spec)).collect();
+            let regions = avatar.field.regions_of(k, spec.region);
             let spill = spill(&rest, &edited, &regions);
             let names: Vec<&str> = regions.iter().map(|&r| table.regions[r].as_str()).collect();
             units.push(Spill { unit: spec.unit.to_string(), region: names.join(", "), ..spill });

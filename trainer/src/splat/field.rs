@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::DVec2;
 use rayon::prelude::*;
 use risorius_formats::{AuScale, Camera, Intrinsics, Isometry, Reporter};
-use risorius_splat::{Gaussians, Picture, Renderer, Skips};
+use risorius_splat::{Gaussians, MOST_SIDE, Picture, Renderer, Skips};
 
 use super::plate::Plate;
 use super::store::{self, SavedSplat};
@@ -56,6 +56,12 @@ impl Field for SplatField {
     fn is_dear(&self) -> bool {
         false
     }
+
+    fn regions_of(&self, au: usize, own: usize) -> Vec<usize> {
+        let layout = &self.model.layout;
+        let reach = layout.reach(au);
+        std::iter::once(own).chain((0..layout.regions).filter(|&r| r != own && reach >> r & 1 != 0)).collect()
+    }
 }
 
 struct SplatRenderer<'a> {
@@ -77,6 +83,13 @@ impl FieldRenderer for SplatRenderer<'_> {
     ) -> Result<Render> {
         if reporter.cancelled() {
             return Err(TrainerError::Interrupted { done: "part of a picture".to_owned() });
+        }
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        if width.max(height) as usize > MOST_SIDE {
+            return Err(TrainerError::Setting {
+                message: format!("a picture of {width}×{height} pixels"),
+                hint: format!("the Gaussian field draws up to {MOST_SIDE} pixels along a side"),
+            });
         }
         self.fit_backdrop((camera.intrinsics.width, camera.intrinsics.height));
         if outputs.depth {

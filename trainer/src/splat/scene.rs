@@ -3,7 +3,7 @@
 use risorius_formats::attribute::AttributeTable;
 use risorius_formats::{AuScale, Isometry};
 use risorius_splat::model::REGIONS;
-use risorius_splat::{Frame, Plate as PlateOfScene, Scene};
+use risorius_splat::{Frame, MOST_SIDE, Plate as PlateOfScene, Scene};
 
 use super::plate::Plate;
 use super::space::MetricSpace;
@@ -28,6 +28,17 @@ impl<'a> SceneData<'a> {
                 path: data.dir.clone(),
                 message: format!("has {} regions, the Gaussian field holds {REGIONS}", data.table.regions.len()),
                 hint: "use `--field confies`".to_owned(),
+            });
+        }
+        let side = |f: &TrainFrame| f.camera.intrinsics.width.max(f.camera.intrinsics.height) as usize;
+        if let Some(frame) = data.frames.iter().find(|f| side(f) > MOST_SIDE) {
+            return Err(TrainerError::Dataset {
+                path: data.dir.clone(),
+                message: format!(
+                    "has pictures of {} pixels along a side, the Gaussian field holds {MOST_SIDE}",
+                    side(frame)
+                ),
+                hint: "build it with a greater `--scale`".to_owned(),
             });
         }
         Ok(Self { data, space: MetricSpace::of(data), plate: Plate::of(data) })

@@ -51,10 +51,17 @@ pub(super) struct ImageRates {
 impl PerImage {
     /// Nothing but small codes, drawn from `rng`: were they zero, they and the deltas that they weigh would have no gradient.
     pub(super) fn new(images: usize, aus: usize, rng: &mut impl Rng) -> Self {
+        let mut out = Self::zero(images, aus);
+        out.codes.fill_with(|| rng.random_range(-FIRST_CODE..FIRST_CODE));
+        out
+    }
+
+    /// Numbers that change nothing.
+    pub(super) fn zero(images: usize, aus: usize) -> Self {
         let mut out = Self {
             alphas: vec![0.0; images * aus],
             log_betas: vec![-1.0; images * aus],
-            codes: (0..images * LATENT).map(|_| rng.random_range(-FIRST_CODE..FIRST_CODE)).collect(),
+            codes: vec![0.0; images * LATENT],
             head_motions: vec![0.0; images * 6],
             camera_motions: vec![0.0; images * 6],
             moments: Vec::new(),

@@ -12,7 +12,7 @@ pub struct Settings {
     pub seed: u64,
     /// Gaussians that the fit grows to.
     pub gaussians: usize,
-    /// Share of them that a fit begins with; the others grow where pictures ask for them.
+    /// Share of them that a fit begins with (at least 0.05 is taken); the others grow where pictures ask for them.
     pub seed_share: f32,
     /// Edge of the voxels that depth maps are fused in: head, background, millimetres.
     pub voxel_mm: [f32; 2],

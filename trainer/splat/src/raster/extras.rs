@@ -4,7 +4,7 @@
 use super::{LOG2_LEAST, TILE_BLOCKS, Tile, exponent};
 use crate::bin::{Bins, Line};
 use crate::project::record;
-use crate::raster::CENTERS;
+use crate::raster::{CENTERS, corner};
 use crate::simd::{F, Simd, Task, exp2_fast};
 
 /// Values per Gaussian that go together.
@@ -50,7 +50,8 @@ impl Task for ExtraRow<'_> {
             values.extend(bins.slots[bins.entries(index)].iter().map(|&s| extras(s)));
             for block in 0..TILE_BLOCKS {
                 let sums = block_extras::<S>(tile, block, &values);
-                let (x0, y0) = (tile.corner(block).0, tile.corner(block).1 - tile.top);
+                let (x0, y0) = corner(block);
+                let x0 = tile.left + x0;
                 for i in 0..16 {
                     let (x, y) = (x0 + i % 4, y0 + i / 4);
                     if x < width && tile.top + y < height {

@@ -14,12 +14,10 @@ pub(crate) use extras::{EXTRAS, Extra, ExtraRow, WeightRow, column};
 pub(crate) use train::{BACKDROP, CHARBONNIER, RowNumbers, Target, TrainRow, train_block};
 
 use crate::TILE;
-use crate::bin::{Bins, Line, depth_key};
+use crate::bin::{AHEAD, Bins, Line, depth_key};
 use crate::project::record;
 use crate::simd::{F, M, Row, Simd, exp2_fast, prefetch, test32};
 
-/// Records are fetched this many entries ahead.
-const AHEAD: usize = 12;
 /// Blocks of a tile, column by column.
 pub(crate) const TILE_BLOCKS: usize = 16;
 /// log2 of 1/255.
@@ -27,15 +25,21 @@ const LOG2_LEAST: f32 = -7.994_353_4;
 /// What is behind a block that lets no more than this through is hidden.
 pub(crate) const OPAQUE: f32 = 2e-3;
 
+/// The first pixel of a block, from the tile's corner.
+pub(crate) const fn corner(block: usize) -> (usize, usize) {
+    (block / 4 * 4, block % 4 * 4)
+}
+
 /// Pixel centres of each block from the tile's corner: x, then y.
 pub(crate) static CENTERS: [[Line; 2]; TILE_BLOCKS] = {
     let mut out = [[Line::ZERO; 2]; TILE_BLOCKS];
     let mut block = 0;
     while block < TILE_BLOCKS {
+        let (x, y) = corner(block);
         let mut i = 0;
         while i < 16 {
-            out[block][0].0[i] = (block / 4 * 4 + i % 4) as f32 + 0.5;
-            out[block][1].0[i] = (block % 4 * 4 + i / 4) as f32 + 0.5;
+            out[block][0].0[i] = (x + i % 4) as f32 + 0.5;
+            out[block][1].0[i] = (y + i / 4) as f32 + 0.5;
             i += 1;
         }
         block += 1;
@@ -45,9 +49,9 @@ pub(crate) static CENTERS: [[Line; 2]; TILE_BLOCKS] = {
 
 /// Which of a block's pixels lie inside a picture, for the tile at (`left`, `top`).
 fn inside(block: usize, left: usize, top: usize, width: usize, height: usize) -> u16 {
-    let (x0, y0) = (left + block / 4 * 4, top + block % 4 * 4);
-    let columns = width.saturating_sub(x0).min(4);
-    let rows = height.saturating_sub(y0).min(4);
+    let (x, y) = corner(block);
+    let columns = width.saturating_sub(left + x).min(4);
+    let rows = height.saturating_sub(top + y).min(4);
     let row = (1u16 << columns) - 1;
     (0..rows).fold(0, |bits, y| bits | row << (4 * y))
 }
@@ -110,9 +114,10 @@ impl Tile {
         self.masks.resize(self.masks.len().next_multiple_of(32), 0);
     }
 
-    /// The first pixel of a block.
-    pub(crate) fn corner(&self, block: usize) -> (usize, usize) {
-        (self.left + block / 4 * 4, self.top + block % 4 * 4)
+    /// The first pixel of a block in the picture.
+    fn corner(&self, block: usize) -> (usize, usize) {
+        let (x, y) = corner(block);
+        (self.left + x, self.top + y)
     }
 
     /// Copies the entries of tile `index`.

@@ -32,8 +32,6 @@ pub trait Simd: Copy + Send + Sync + 'static {
     unsafe fn splat(x: f32) -> Self::V;
     /// 16 numbers from `p`.
     unsafe fn load(p: *const f32) -> Self::V;
-    /// 16 bytes from `p` as numbers.
-    unsafe fn load_bytes(p: *const u8) -> Self::V;
     /// 16 numbers to `p`.
     unsafe fn store(p: *mut f32, v: Self::V);
     /// a + b

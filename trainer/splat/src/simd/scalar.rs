@@ -43,11 +43,6 @@ impl Simd for Scalar {
         unsafe { p.cast::<[f32; 16]>().read_unaligned() }
     }
     #[inline(always)]
-    unsafe fn load_bytes(p: *const u8) -> Self::V {
-        let b = unsafe { p.cast::<[u8; 16]>().read_unaligned() };
-        each!(i => f32::from(b[i]))
-    }
-    #[inline(always)]
     unsafe fn store(p: *mut f32, v: Self::V) {
         unsafe { p.cast::<[f32; 16]>().write_unaligned(v) }
     }

@@ -40,11 +40,6 @@ impl<S: Simd> F<S> {
     pub fn load(row: &Row) -> Self {
         Self(unsafe { S::load(row.as_ptr()) })
     }
-    /// From 16 bytes.
-    #[inline(always)]
-    pub fn bytes(bytes: &[u8; 16]) -> Self {
-        Self(unsafe { S::load_bytes(bytes.as_ptr()) })
-    }
     /// To memory.
     #[inline(always)]
     pub fn store(self, row: &mut Row) {

@@ -61,10 +61,6 @@ impl Simd for Avx512 {
         unsafe { _mm512_loadu_ps(p) }
     }
     #[inline(always)]
-    unsafe fn load_bytes(p: *const u8) -> __m512 {
-        unsafe { _mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128(p.cast()))) }
-    }
-    #[inline(always)]
     unsafe fn store(p: *mut f32, v: __m512) {
         unsafe { _mm512_storeu_ps(p, v) }
     }
@@ -247,16 +243,6 @@ impl Simd for Avx2 {
     #[inline(always)]
     unsafe fn load(p: *const f32) -> Pair {
         unsafe { [_mm256_loadu_ps(p), _mm256_loadu_ps(p.add(8))] }
-    }
-    #[inline(always)]
-    unsafe fn load_bytes(p: *const u8) -> Pair {
-        unsafe {
-            let b = _mm_loadu_si128(p.cast());
-            [
-                _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(b)),
-                _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_srli_si128::<8>(b))),
-            ]
-        }
     }
     #[inline(always)]
     unsafe fn store(p: *mut f32, v: Pair) {
