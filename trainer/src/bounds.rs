@@ -89,7 +89,7 @@ pub(crate) fn of_settings(settings: &SplatSettings) -> Checked {
     }
     let rates = [s.mean_px, s.depth_factor, s.delta_factor, s.log_scale_rate, s.quaternion_rate, s.opacity_rate];
     let more = [s.color_rate, s.sh_rate, s.latent_weight, s.code_rate, s.image_rate, s.mask_rate];
-    let all = rates.into_iter().chain(more).chain(s.attribute_weight).chain(s.pose_rate);
+    let all = rates.into_iter().chain(more).chain(s.attribute_weight);
     if let Some(bad) = all.into_iter().find(|v| !(0.0..=1e6).contains(v)) {
         return Err(format!("a rate or weight is {bad}, expected a number from 0"));
     }

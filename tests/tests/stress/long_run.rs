@@ -1,5 +1,7 @@
 //! A long fit of a tiny scene: no drift, no number that is none, no growth of memory.
 
+use glam::{DMat3, DQuat, DVec3};
+use risorius_formats::Isometry;
 use risorius_splat::{Fitter, Scene, Settings};
 
 use crate::support::Ball;
@@ -125,4 +127,65 @@ fn latent_codes_learn_what_no_au_tells() {
     };
     let (with, without) = (error(true), error(false));
     assert!(with < 0.7 * without, "mean squared error {with} with codes, {without} without");
+}
+
+/// Steps of the fits below, and how many of the last ones their error is the mean of.
+const STEPS: u16 = 1500;
+const LAST: usize = 100;
+
+/// The fit of a scene, and its mean squared error at the end.
+fn fitted(scene: &Scene<'_>, change: impl Fn(&mut Settings)) -> (Fitter, f64) {
+    let mut settings = Settings { gaussians: 1_000, latent: false, ..Settings::default() };
+    change(&mut settings);
+    let mut fit = Fitter::new(scene, settings, &|_| {});
+    let errors: Vec<f64> = (0..STEPS).map(|i| fit.step(scene, f32::from(i) / f32::from(STEPS)).color).collect();
+    let last = &errors[errors.len() - LAST..];
+    (fit, last.iter().sum::<f64>() / LAST as f64)
+}
+
+/// Pictures in other light are told apart by gains, and not by Gaussians.
+#[test]
+fn gains_follow_the_light_of_every_image() {
+    let mut ball = Ball::new(VIEWS);
+    let (_, undisturbed) = fitted(&ball.scene(), |_| {});
+    let gain = |image: usize, c: usize| 1.0 + 0.04 * ((5 * image + 3 * c) % 7) as f64 - 0.12;
+    for (image, picture) in ball.pictures.iter_mut().enumerate() {
+        for (i, v) in picture.iter_mut().enumerate() {
+            *v = (f64::from(*v) * gain(image, i % 3)).round().min(255.0) as u8;
+        }
+    }
+    let (fit, with) = fitted(&ball.scene(), |_| {});
+    let (_, without) = fitted(&ball.scene(), |s| s.refine_light = false);
+    assert!(
+        with - undisturbed < 0.3 * (without - undisturbed),
+        "mean squared error {with} with gains, {without} without, {undisturbed} in even light"
+    );
+    for c in 0..3 {
+        let mean = (0..VIEWS).map(|i| gain(i, c).ln()).sum::<f64>() / VIEWS as f64;
+        for i in 0..VIEWS {
+            let (found, wanted) = (f64::from(fit.images.gain(i)[c]).ln(), gain(i, c).ln() - mean);
+            assert!((found - wanted).abs() < 0.03, "image {i}, channel {c}: {found}, wanted {wanted}");
+        }
+    }
+}
+
+/// The poses of a head that sways come from landmarks and are a little wrong.
+#[test]
+fn poses_that_came_from_landmarks_are_corrected() {
+    let ball = Ball::new(VIEWS);
+    let (_, undisturbed) = fitted(&ball.scene(), |_| {});
+    let off = |i: usize| {
+        let turn = DVec3::new(0.012 * ((i * 3 % 5) as f64 - 2.0), 0.01 * ((i * 2 % 5) as f64 - 2.0), 0.0) * 0.5;
+        Isometry::new(DMat3::from_quat(DQuat::from_scaled_axis(turn)), DVec3::ZERO)
+    };
+    let mut scene = ball.scene();
+    for (i, frame) in scene.frames.iter_mut().enumerate() {
+        frame.room_from_head = off(i);
+    }
+    let (_, with) = fitted(&scene, |_| {});
+    let (_, without) = fitted(&scene, |s| s.refine_poses = false);
+    assert!(
+        with - undisturbed < 0.5 * (without - undisturbed),
+        "mean squared error {with} with corrections, {without} without, {undisturbed} with true poses"
+    );
 }

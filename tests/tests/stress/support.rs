@@ -143,7 +143,7 @@ const WALL: f64 = 0.3;
 /// Pictures of a ball that changes its colour with one AU, before a wall; the ball's middle is the AU's region.
 pub(crate) struct Ball {
     cameras: Vec<Camera>,
-    pictures: Vec<Vec<u8>>,
+    pub pictures: Vec<Vec<u8>>,
     labels: Vec<Vec<u8>>,
 }
 

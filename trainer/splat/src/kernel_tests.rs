@@ -142,7 +142,7 @@ fn kernel_gradients(model: &Gaussians, camera: &Camera, wanted: &[u8]) -> Backwa
     let mut bins = Bins::default();
     bins.fill(model, &view, &active, None);
     let mut sums = vec![Line::ZERO; bins.slots.len()];
-    let target = Target { rgb: wanted, valid: None, backdrop: None, width: view.width, reduce: 1 };
+    let target = Target { rgb: wanted, valid: None, backdrop: None, width: view.width, reduce: 1, gain: [1.0; 3] };
     let columns = view.columns();
     let mut tile = Tile::default();
     for row in 0..view.tiles() / columns {

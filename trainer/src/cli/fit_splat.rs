@@ -39,11 +39,6 @@ pub(super) fn run(args: &FitArgs, console: &Console) -> Result<(), Failure> {
         (work, resume) = (Some(running), goes_on);
     }
     let data = TrainData::load(&args.dataset, settings.image_scale, console)?;
-    // Poses that come from a table of landmarks are never exact; a model of COLMAP's or a given one is.
-    let from_head = data.extras().is_some_and(|e| e.method == risorius_formats::pose_report::PoseMethod::Head);
-    if !resume {
-        settings.splat.refine_cameras |= from_head;
-    }
     if args.dry_run {
         let plan = Plan {
             frames: data.frames.len(),

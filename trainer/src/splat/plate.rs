@@ -7,6 +7,9 @@ use risorius_formats::pose_report::PoseMethod;
 
 use crate::data::{TrainData, TrainFrame};
 
+/// Levels by which a pixel has to differ from the plate to show something else: above the noise of a codec.
+const DIFFERS: u8 = 12;
+
 /// A picture of what is behind the head, at the scale that is fitted.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Plate {
@@ -51,6 +54,19 @@ impl Plate {
 }
 
 impl Plate {
+    /// What a frame shows of the person: the hull of the head, and all that differs from the plate; a byte per pixel, 255 or 0.
+    ///
+    /// `None` where the frame has another size.
+    pub fn person(&self, frame: &TrainFrame) -> Option<Vec<u8>> {
+        let hull = frame.valid.as_ref()?;
+        let same = frame.pixels.len() == self.rgb.len() && hull.len() * 3 == self.rgb.len();
+        let pixels = || frame.pixels.as_chunks::<3>().0.iter().zip(self.rgb.as_chunks::<3>().0);
+        let differs = |(a, b): (&[u8; 3], &[u8; 3])| a.iter().zip(b).any(|(a, b)| a.abs_diff(*b) > DIFFERS);
+        same.then(|| {
+            hull.iter().zip(pixels()).map(|(&inside, pair)| if inside > 0 || differs(pair) { 255 } else { 0 }).collect()
+        })
+    }
+
     /// The plate at another size: RGB bytes.
     pub fn resized(&self, width: u32, height: u32) -> Vec<u8> {
         if (width, height) == (self.width, self.height) {

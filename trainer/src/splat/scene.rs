@@ -1,5 +1,6 @@
 //! A dataset as the Gaussian field sees it: metres, activations, masks.
 
+use rayon::prelude::*;
 use risorius_formats::attribute::AttributeTable;
 use risorius_formats::{AuScale, Isometry};
 use risorius_splat::model::REGIONS;
@@ -18,6 +19,8 @@ pub struct SceneData<'a> {
     pub space: MetricSpace,
     /// What is behind the head, if the camera stands still.
     pub plate: Option<Plate>,
+    /// What each frame shows of the person, where there is a plate.
+    persons: Vec<Option<Vec<u8>>>,
 }
 
 impl<'a> SceneData<'a> {
@@ -38,20 +41,29 @@ impl<'a> SceneData<'a> {
                     "has pictures of {} pixels along a side, the Gaussian field holds {MOST_SIDE}",
                     side(frame)
                 ),
-                hint: "build it with a greater `--scale`".to_owned(),
+                hint: "build it smaller, such as with `dataset build --scale 2`".to_owned(),
             });
         }
-        Ok(Self { data, space: MetricSpace::of(data), plate: Plate::of(data) })
+        let plate = Plate::of(data);
+        let persons = plate.iter().flat_map(|p| data.frames.par_iter().map(|f| p.person(f)).collect::<Vec<_>>());
+        let persons = persons.collect();
+        Ok(Self { data, space: MetricSpace::of(data), plate, persons })
     }
 
     /// The scene to fit.
     pub fn scene(&self) -> Scene<'_> {
-        let Self { data, space, plate } = self;
+        let Self { data, space, plate, persons } = self;
+        let person = |i: usize| persons.get(i).and_then(Option::as_deref);
         let scales: Vec<AuScale> = data.table.attributes.iter().map(AuScale::new).collect();
         let known = data.has_intensities();
         let hull = data.extras().and_then(|e| e.head_hull_in_world.as_ref());
         Scene {
-            frames: data.frames.iter().map(|f| frame_of(f, space, &scales, known)).collect(),
+            frames: data
+                .frames
+                .iter()
+                .enumerate()
+                .map(|(i, f)| frame_of(f, person(i), space, &scales, known))
+                .collect(),
             region_of: data.table.attributes.iter().map(|a| a.region).collect(),
             also_in: also_in(&data.table),
             regions: data.table.regions.len(),
@@ -72,7 +84,13 @@ fn also_in(table: &AttributeTable) -> Vec<u8> {
     table.attributes.iter().map(|a| table.others_of(a).fold(0, |bits, region| bits | 1 << region)).collect()
 }
 
-fn frame_of<'a>(frame: &'a TrainFrame, space: &MetricSpace, scales: &[AuScale], known: bool) -> Frame<'a> {
+fn frame_of<'a>(
+    frame: &'a TrainFrame,
+    person: Option<&'a [u8]>,
+    space: &MetricSpace,
+    scales: &[AuScale],
+    known: bool,
+) -> Frame<'a> {
     let activations = match (&frame.intensities, &frame.attributes) {
         (Some(intensities), Some(_)) if known => {
             Some(scales.iter().zip(intensities).map(|(s, i)| s.activation(*i).0).collect())
@@ -85,7 +103,7 @@ fn frame_of<'a>(frame: &'a TrainFrame, space: &MetricSpace, scales: &[AuScale], 
         camera: space.camera(&frame.camera),
         room_from_head: Isometry::IDENTITY,
         rgb: &frame.pixels,
-        valid: frame.valid.as_deref(),
+        valid: person.or(frame.valid.as_deref()),
         labels: frame.labels.as_deref(),
         activations,
         landmarks_px: frame.landmarks_px,

@@ -27,7 +27,7 @@ impl Fitter {
             ("log_betas", &i.log_betas),
             ("codes", &i.codes),
             ("head_motions", &i.head_motions),
-            ("camera_motions", &i.camera_motions),
+            ("log_gains", &i.log_gains),
             ("image.moments", &i.moments),
             ("image.steps", &i.steps),
         ]
@@ -58,7 +58,7 @@ impl Fitter {
             log_betas: take("log_betas")?,
             codes: take("codes")?,
             head_motions: take("head_motions")?,
-            camera_motions: take("camera_motions")?,
+            log_gains: take("log_gains")?,
             moments: take("image.moments")?,
             steps: take("image.steps")?,
         };

@@ -4,6 +4,7 @@ use glam::DVec3;
 use rand::Rng;
 use risorius_formats::Isometry;
 
+use super::pose::{Look, newton};
 use crate::model::LATENT;
 use crate::scene::rotation_from_vector;
 use crate::update::Whole;
@@ -12,6 +13,10 @@ use crate::update::Whole;
 const LOG_BETA_FLOOR: f32 = -4.0;
 /// Codes begin with numbers up to this.
 const FIRST_CODE: f32 = 0.1;
+/// Curvature of the logarithm of a gain about 0, per pixel: what holds it where pictures are black.
+const LIGHT_PRIOR: f64 = 0.01;
+/// Most that the logarithm of a gain moves in a step.
+const MOST_LIGHT: f32 = 0.2;
 /// Adam's ε for these numbers.
 const EPSILON: f32 = 1e-8;
 
@@ -26,9 +31,9 @@ pub struct PerImage {
     pub codes: Vec<f32>,
     /// `[images][6]`: translation (metres) and rotation vector (radians) of the head against its first pose.
     pub head_motions: Vec<f32>,
-    /// `[images][6]`: the same of the camera, in camera axes.
-    pub camera_motions: Vec<f32>,
-    /// Moments of all of these, in this order, first and second.
+    /// `[images][3]`: logarithms of the gains of red, green and blue; their mean over the images is 0.
+    pub log_gains: Vec<f32>,
+    /// Moments of α, log β and codes, in this order, first and second.
     pub(super) moments: Vec<f32>,
     /// Steps of each image.
     pub(super) steps: Vec<f32>,
@@ -39,9 +44,6 @@ pub struct PerImage {
 pub(super) struct ImageRates {
     pub image: f32,
     pub code: f32,
-    /// Translation and rotation; zero where poses stay.
-    pub head: [f32; 2],
-    pub camera: [f32; 2],
     /// Weight of eq. 17 per AU.
     pub attribute: f32,
     /// Weight of ‖ω‖².
@@ -63,11 +65,11 @@ impl PerImage {
             log_betas: vec![-1.0; images * aus],
             codes: vec![0.0; images * LATENT],
             head_motions: vec![0.0; images * 6],
-            camera_motions: vec![0.0; images * 6],
+            log_gains: vec![0.0; images * 3],
             moments: Vec::new(),
             steps: vec![0.0; images],
         };
-        let total = 2 * out.alphas.len() + out.codes.len() + 2 * out.head_motions.len();
+        let total = 2 * out.alphas.len() + out.codes.len();
         out.moments = vec![0.0; 2 * total];
         out
     }
@@ -77,9 +79,34 @@ impl PerImage {
         self.codes.get(image * LATENT..(image + 1) * LATENT).unwrap_or_default()
     }
 
-    /// The correction of an image's camera: `corrected_from_given`, camera axes.
-    pub fn camera_motion(&self, image: usize) -> Isometry {
-        motion(self.camera_motions.get(image * 6..image * 6 + 6).unwrap_or_default())
+    /// What the scene's colours are multiplied by in an image.
+    pub fn gain(&self, image: usize) -> [f32; 3] {
+        std::array::from_fn(|c| self.log_gains.get(3 * image + c).map_or(1.0, |v| v.exp()))
+    }
+
+    /// Moves the gains of an image to the least error: a Newton step with the loss' weights held, from slope and curvature per
+    /// channel. The mean over all images stays 0: it belongs to the scene's colours.
+    pub(super) fn step_light(&mut self, image: usize, light: &[[f64; 2]; 3], pixels: usize) {
+        let images = self.steps.len().max(1) as f32;
+        for (c, &[slope, curvature]) in light.iter().enumerate() {
+            let own = 3 * image + c;
+            let prior = LIGHT_PRIOR * pixels as f64;
+            let slope = slope + prior * f64::from(self.log_gains[own]);
+            let step = (slope / (curvature + prior).max(1e-9)) as f32;
+            if !step.is_finite() {
+                continue;
+            }
+            let step = step.clamp(-MOST_LIGHT, MOST_LIGHT);
+            self.log_gains[own] -= step;
+            self.log_gains.iter_mut().skip(c).step_by(3).for_each(|v| *v += step / images);
+        }
+    }
+
+    /// Moves the head's pose of an image to a lesser error; `whole` holds the slopes.
+    pub(super) fn step_pose(&mut self, image: usize, look: &Look<'_>, whole: &Whole) {
+        let Some(by) = newton(look, &whole.head) else { return };
+        let moved = numbers(&by.compose(&self.head_motion(image)));
+        self.head_motions[image * 6..image * 6 + 6].copy_from_slice(&moved);
     }
 
     /// The correction of the head's pose, room axes about the origin.
@@ -88,13 +115,11 @@ impl PerImage {
     }
 
     /// One step of image `image`. `activations` are ∂L/∂activation of its AUs (`None` without annotation) and of its code
-    /// (`None` where it did not act); `turn_to_room` brings vectors of camera axes to room axes. Returns Σ of eq. 17.
+    /// (`None` where it did not act). Returns Σ of eq. 17.
     pub(super) fn step(
         &mut self,
         image: usize,
         activations: (Option<&[f32]>, Option<&[f32]>),
-        whole: &Whole,
-        room_from_camera: &glam::DMat3,
         rates: &ImageRates,
     ) -> f64 {
         self.steps[image] += 1.0;
@@ -135,17 +160,15 @@ impl PerImage {
                 adam(&mut self.codes, at, gradient, rates.code, offset);
             }
         }
-        offset += self.codes.len();
-        let to_room = |v: &[f32]| (*room_from_camera * DVec3::new(v[0].into(), v[1].into(), v[2].into())).as_vec3();
-        let head = [to_room(&whole.head[..3]), to_room(&whole.head[3..])];
-        for i in 0..6 {
-            let at = image * 6 + i;
-            adam(&mut self.head_motions, at, head[i / 3][i % 3], rates.head[i / 3], offset);
-            let offset = offset + self.steps.len() * 6;
-            adam(&mut self.camera_motions, at, whole.camera[i], rates.camera[i / 3], offset);
-        }
         eq17
     }
+}
+
+/// Translation and rotation vector of a small rigid motion.
+fn numbers(motion: &Isometry) -> [f32; 6] {
+    let turn = glam::DQuat::from_mat3(&motion.rotation).normalize().to_scaled_axis();
+    let t = motion.translation;
+    [t.x, t.y, t.z, turn.x, turn.y, turn.z].map(|v| v as f32)
 }
 
 /// A small rigid motion from a translation and a rotation vector.

@@ -10,6 +10,7 @@ mod densify;
 mod fill;
 mod images;
 mod memberships;
+mod pose;
 mod settings;
 
 use rand::seq::SliceRandom;
@@ -36,6 +37,9 @@ use crate::view::View;
 
 /// Pixels of the smallest size that a fit begins at.
 const COARSE_PIXELS: f32 = 32_400.0;
+
+/// Early pictures say little about poses.
+const POSES_FROM: f32 = 0.05;
 
 /// What is behind a block that lets no more than this through takes no part in a step. More than where pictures are drawn: it
 /// saves a tenth of the time at the same error.
@@ -174,18 +178,20 @@ impl Fitter {
         let coded = self.settings.latent && rng.random::<f32>() < self.settings.code_share;
         let frame = &scene.frames[image];
         let reduce = reduce_at(frame, self.settings.coarse_share, done);
-        let (camera, room_from_head) = self.poses(frame, image);
-        let camera = reduced(&camera, reduce);
+        let room_from_head = self.room_from_head(frame, image);
+        let camera = reduced(&frame.camera, reduce);
         let view = View::new(&camera, &room_from_head);
         let activations = self.activations(frame, image, coded);
         let active = active_bases(&self.model.layout, &activations, !self.settings.skips.untouched);
         self.work.bins.fill(&self.model, &view, &active, None);
         let target = Target {
             rgb: frame.rgb,
-            valid: frame.valid,
+            // Before a plate the whole picture is explained: by Gaussians where it differs from the plate.
+            valid: if scene.plate.is_some() { None } else { frame.valid },
             backdrop: scene.plate.as_ref().map(|p| p.rgb),
             width: frame.camera.intrinsics.width as usize,
             reduce: reduce as usize,
+            gain: self.images.gain(image),
         };
         let opaque = if self.settings.skips.hidden { HIDDEN } else { 0.0 };
         let numbers = self.work.rasterise(&view, &target, opaque);
@@ -195,7 +201,7 @@ impl Fitter {
         }
         let correction: Vec<f32> =
             active.iter().map(|a| bias_correction(u64::from(self.progress.basis_steps[a.basis]))).collect();
-        let heads_move = self.settings.refine_head && self.head_poses.iter().any(|p| *p != Isometry::IDENTITY);
+        let corrects_poses = self.corrects_poses();
         let evidence = Evidence {
             view: &view,
             active: &active,
@@ -204,7 +210,7 @@ impl Fitter {
             rates: self.rates(scene, &view, done),
             base_correction: bias_correction(step),
             correction: &correction,
-            poses: self.settings.refine_cameras || heads_move,
+            poses: corrects_poses,
         };
         let whole = Update {
             model: &mut self.model,
@@ -213,7 +219,12 @@ impl Fitter {
             movement: &mut self.movement,
         }
         .apply(&evidence);
-        let attribute = self.step_image(frame, image, &camera, &active, &whole, coded, &numbers, done, heads_move);
+        let attribute = self.step_image(frame, image, &active, &whole, coded, &numbers, done);
+        if corrects_poses && done > POSES_FROM {
+            let face_radius_m = f64::from(scene.face_radius_m);
+            let look = pose::Look { camera: &camera, target: &target, face_radius_m, numbers: &numbers };
+            self.images.step_pose(image, &look, &whole);
+        }
         let mut out = StepNumbers {
             pixels: numbers.pixels,
             color: numbers.squared / (3 * numbers.pixels.max(1)) as f64,
@@ -242,15 +253,15 @@ impl Fitter {
         order.1[at as usize] as usize
     }
 
-    /// Camera and head of an image with their corrections.
-    fn poses(&self, frame: &Frame<'_>, image: usize) -> (Camera, Isometry) {
-        let mut camera = frame.camera;
-        if self.settings.refine_cameras {
-            camera.camera_from_world = self.images.camera_motion(image).compose(&camera.camera_from_world);
-        }
+    /// The head's pose in an image, with its correction.
+    fn room_from_head(&self, frame: &Frame<'_>, image: usize) -> Isometry {
         let head = self.head_poses.get(image).copied().unwrap_or(frame.room_from_head);
-        let head = if self.settings.refine_head { self.images.head_motion(image).compose(&head) } else { head };
-        (camera, head)
+        self.images.head_motion(image).compose(&head)
+    }
+
+    /// Whether the head's poses are corrected: those of a head that sways came from landmarks.
+    fn corrects_poses(&self) -> bool {
+        self.settings.refine_poses && self.head_poses.iter().any(|p| *p != Isometry::IDENTITY)
     }
 
     /// Activations of an image: annotated ones with their offsets, then the code where it acts.
@@ -291,13 +302,11 @@ impl Fitter {
         &mut self,
         frame: &Frame<'_>,
         image: usize,
-        camera: &Camera,
         active: &[crate::project::Active],
         whole: &Whole,
         coded: bool,
         numbers: &RowNumbers,
         done: f32,
-        heads_move: bool,
     ) -> f64 {
         let s = &self.settings;
         let aus = self.model.layout.region_of.len();
@@ -305,22 +314,19 @@ impl Fitter {
         active.iter().zip(&whole.activations).for_each(|(a, &g)| d[a.basis] = g);
         let decay = s.final_rate.powf(done);
         let pixels = 3.0 * numbers.pixels as f32;
-        // Early pictures say little about poses.
-        let poses = if done > 0.05 { decay } else { 0.0 };
-        let pose = |on: bool| if on { [s.pose_rate[1] * poses, s.pose_rate[0] * poses] } else { [0.0; 2] };
         let [first, last] = s.attribute_weight;
         let rates = ImageRates {
             image: s.image_rate * decay,
             code: s.code_rate * decay,
-            head: pose(heads_move),
-            camera: pose(s.refine_cameras),
             attribute: first * (last / first.max(1e-12)).max(1e-6).powf(done) * pixels / aus.max(1) as f32,
             latent: s.latent_weight * pixels,
         };
         let codes = (coded && self.model.layout.latent > 0).then(|| &d[aus..]);
-        let room_from_camera = camera.camera_from_world.rotation.transpose();
         let annotated = frame.activations.is_some().then(|| &d[..aus]);
-        let eq17 = self.images.step(image, (annotated, codes), whole, &room_from_camera, &rates);
+        let eq17 = self.images.step(image, (annotated, codes), &rates);
+        if s.refine_light {
+            self.images.step_light(image, &numbers.light, numbers.pixels);
+        }
         eq17 / aus.max(1) as f64
     }
 
@@ -352,10 +358,7 @@ impl Work {
             .into_par_iter()
             .map(|(row, sums, tile)| simd::run(TrainRow { bins, target, row, columns, width, height, sums, tile }))
             .collect();
-        numbers.iter().fold(RowNumbers::default(), |sum, n| RowNumbers {
-            pixels: sum.pixels + n.pixels,
-            squared: sum.squared + n.squared,
-        })
+        numbers.iter().fold(RowNumbers::default(), RowNumbers::and)
     }
 }
 

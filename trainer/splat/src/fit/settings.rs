@@ -56,12 +56,10 @@ pub struct Settings {
     pub attribute_weight: [f32; 2],
     /// Learning rate of α and log β.
     pub image_rate: f32,
-    /// Whether each camera may move a little.
-    pub refine_cameras: bool,
-    /// Whether the head's poses may move a little; they stay the identity where the head is still.
-    pub refine_head: bool,
-    /// Learning rate of poses: radians, metres.
-    pub pose_rate: [f32; 2],
+    /// Whether the poses of a head that sways against its room are corrected by the pictures.
+    pub refine_poses: bool,
+    /// Whether each image has a gain per channel, for light and exposure that change.
+    pub refine_light: bool,
     /// Every so many steps fits the memberships to the region masks; 0 never.
     pub mask_every: u64,
     /// Learning rate of memberships.
@@ -97,9 +95,8 @@ impl Default for Settings {
             code_rate: 1e-2,
             attribute_weight: [0.1, 0.01],
             image_rate: 1e-3,
-            refine_cameras: false,
-            refine_head: true,
-            pose_rate: [2e-4, 5e-5],
+            refine_poses: true,
+            refine_light: true,
             mask_every: 32,
             mask_rate: 0.05,
             skips: Skips::default(),

@@ -28,6 +28,8 @@ pub(crate) struct Target<'a> {
     pub width: usize,
     /// How many times the picture is smaller than `rgb`: its pixels are compared with means of `reduce`².
     pub reduce: usize,
+    /// What the scene's colours are multiplied by before they are compared: the light and the exposure of this image.
+    pub gain: [f32; 3],
 }
 
 impl Target<'_> {
@@ -53,6 +55,11 @@ impl Target<'_> {
             backdrop: [F::load(behind_red), F::load(behind_green), F::load(behind_blue)],
             counts: F::load(&counts),
         }
+    }
+
+    /// The colours of the pixel (x, y) of the reduced picture, 0–1.
+    pub(crate) fn color(&self, x: usize, y: usize) -> [f32; 3] {
+        self.pixel(x, y).0
     }
 
     /// Colours (0–1) and whether they count, backdrop: of the pixel (x, y) of the reduced picture.
@@ -103,6 +110,19 @@ pub(crate) struct RowNumbers {
     pub pixels: usize,
     /// Sum of squared errors over channels.
     pub squared: f64,
+    /// Slope of the loss along the logarithm of each gain, and its curvature with the loss' weights held.
+    pub light: [[f64; 2]; 3],
+}
+
+impl RowNumbers {
+    /// The numbers of both.
+    pub(crate) fn and(mut self, other: &Self) -> Self {
+        self.pixels += other.pixels;
+        self.squared += other.squared;
+        let own = self.light.as_flattened_mut();
+        own.iter_mut().zip(other.light.as_flattened()).for_each(|(a, b)| *a += b);
+        self
+    }
 }
 
 /// A row of tiles.
@@ -169,12 +189,17 @@ fn loss<S: Simd>(
         let t = F::load(&tile.transmittance[block].0);
         let (mut a, mut squared) = (F::splat(0.0), F::splat(0.0));
         for c in 0..3 {
-            let color = t.fma(backdrop[c], F::load(&tile.color[block][c].0));
-            let d = (color - rgb[c]) * counts;
-            let g = d.over(d.fma(d, F::splat(CHARBONNIER * CHARBONNIER)).sqrt());
+            let gain = F::splat(target.gain[c]);
+            let lit = t.fma(backdrop[c], F::load(&tile.color[block][c].0)) * gain;
+            let d = (lit - rgb[c]) * counts;
+            let weight = counts.over(d.fma(d, F::splat(CHARBONNIER * CHARBONNIER)).sqrt());
+            let g = d * weight;
             squared = d.fma(d, squared);
-            a = g.fma(color, a);
-            g.store(&mut out[block].g[c].0);
+            let slope = g * lit;
+            a += slope;
+            numbers.light[c][0] += f64::from(slope.sum());
+            numbers.light[c][1] += f64::from((weight * lit * lit).sum());
+            (g * gain).store(&mut out[block].g[c].0);
         }
         a.store(&mut out[block].a.0);
         numbers.squared += f64::from(squared.sum());
