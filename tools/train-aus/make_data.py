@@ -6,6 +6,7 @@ the shapes do.
 usage: make_data.py --basis ict_face_basis.npz --models DIR --photos DIR --out data.npz [--people N] [--frames N] [--seed N]
 
 `--photos` holds photographs and videos of faces for the skins; `--models` the three networks that `tools/models` fetches.
+The aligned faces need a canonical mesh: it is the mean of 40 people at rest, the same for every `--seed`.
 """
 
 import argparse
@@ -17,6 +18,8 @@ import numpy as np
 
 import face
 from detect import Detector
+from fhog import aligned_face, fhog, template
+from geometry import canonical_mesh
 from network import BLENDSHAPE_POINTS, SIZE, Mesh, crop_around, session
 from render import Light, backdrop, normals_of, photograph, project, rasterise, turn
 from skins import dressed, skin
@@ -24,6 +27,7 @@ from wrinkles import Folds
 
 FOCAL = 1200.0
 SUPERSAMPLING = 1.25
+CANONICAL_SEED, CANONICAL_PEOPLE, CANONICAL_FRAMES = 20, 40, 3
 
 
 def photographs(folder):
@@ -114,6 +118,15 @@ def hull_of(basis, mesh, skins, rng):
     return hull
 
 
+def canonical_of(basis, mesh, skins, hull):
+    """The canonical mesh [478, 3]: the mean of some people at rest."""
+    found = []
+    for number in range(CANONICAL_PEOPLE):
+        person = Person(basis, np.random.default_rng([CANONICAL_SEED, number]), skins, hull)
+        found += [mesh(person.frame(True)[0], (SIZE / 2, SIZE / 2, SIZE, 0.0))[0] for _ in range(CANONICAL_FRAMES)]
+    return canonical_mesh(np.array(found, np.float64))
+
+
 def main():
     parser = argparse.ArgumentParser()
     for name in ("basis", "models", "photos", "out"):
@@ -126,10 +139,12 @@ def main():
     basis = face.Basis(args.basis)
     models = Path(args.models)
     mesh, blend = Mesh(models / "face_landmarks_detector.onnx"), session(models / "face_blendshapes.onnx")
-    rng = np.random.default_rng(args.seed)
     skins = skins_of(basis, mesh, Detector(models), args.photos, args.skip)
-    hull = hull_of(basis, mesh, skins, rng)
-    rows = {k: [] for k in ("person", "neutral", "rotation", "aus", "mesh", "blend", "truth68", *mesh.inner)}
+    hull = hull_of(basis, mesh, skins, np.random.default_rng(CANONICAL_SEED))
+    canonical = canonical_of(basis, mesh, skins, hull)
+    target = template(canonical)
+    rows = {k: [] for k in ("person", "neutral", "rotation", "aus", "mesh", "blend", "truth68", "face", "fhog", *mesh.inner)}
+    kinds = {"person": np.int32, "neutral": bool, "face": np.uint8, **{k: np.float16 for k in ("fhog", *mesh.inner)}}
     begun = time.time()
     for number in range(args.people):
         person = Person(basis, np.random.default_rng([args.seed, number]), skins, hull)
@@ -141,14 +156,15 @@ def main():
                 continue
             pixels = (points[BLENDSHAPE_POINTS, :2][None]).astype(np.float32)
             coefficients = blend.run(None, {blend.get_inputs()[0].name: pixels})[0].ravel()
-            for key, value in zip(rows, (number, neutral, rotation, aus, points, coefficients, truth, *mesh.features)):
-                rows[key].append(value)
+            face_px = aligned_face(rgb, points, target)
+            values = (number, neutral, rotation, aus, points, coefficients, truth, face_px, fhog(face_px), *mesh.features)
+            for key, value in zip(rows, values):
+                rows[key].append(np.asarray(value, kinds.get(key, np.float32)))
             if number < 3 and k in (0, 30, 40, 50):
                 cv2.imwrite(str(Path(args.out).with_suffix(f".{number}_{k}.png")), rgb[:, :, ::-1])
         if number % 20 == 19:
             print(f"{number + 1} of {args.people} people, {time.time() - begun:.0f} s", flush=True)
-    kinds = {"person": np.int32, "neutral": bool, **{k: np.float16 for k in mesh.inner}}
-    np.savez(args.out, **{k: np.array(v, dtype=kinds.get(k, np.float32)) for k, v in rows.items()})
+    np.savez(args.out, canonical=canonical, **{k: np.array(v) for k, v in rows.items()})
 
 
 if __name__ == "__main__":

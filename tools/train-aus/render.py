@@ -63,7 +63,7 @@ class Light:
     def __init__(self, rng):
         direction = np.array([rng.normal(0, 0.7), rng.normal(0.3, 0.4), 1.0])
         self.direction = (direction / np.linalg.norm(direction)).astype(np.float32)
-        self.ambient = rng.uniform(0.35, 0.8)
+        self.ambient = rng.uniform(0.25, 0.85)
         self.tint = rng.normal(1, 0.05, 3).astype(np.float32)
         self.gloss = rng.uniform(0, 0.12) if rng.random() < 0.5 else 0.0
 

@@ -91,6 +91,24 @@ def mirrored(basis):
     return _mirror[id(basis)]
 
 
+def complexion(basis, rng):
+    """Factors [FACE_END, 3] for the colours of a face: blotches, brows, beard and lips of its own."""
+    v = basis.neutral[:FACE_END]
+    x, y, z = v.T
+    out = np.ones((FACE_END, 3))
+    for _ in range(int(rng.integers(2, 7))):
+        wave = rng.normal(0, 1, 3) * rng.choice([0.3, 0.8, 2.0])
+        out *= 1 + rng.uniform(0, 0.07) * np.sin(v @ wave + rng.uniform(0, 6.28))[:, None] * rng.uniform(0.6, 1, 3)
+    blob = lambda cx, cy, rx, ry: np.exp(-(((np.abs(x) - cx) / rx) ** 2 + ((y - cy) / ry) ** 2)) * (z > 3)
+    brow = blob(rng.uniform(2.6, 3.6), rng.uniform(4.6, 5.6), rng.uniform(1.2, 2.2), rng.uniform(0.3, 0.6))
+    out *= 1 - (rng.uniform(-0.25, 0.5) * brow)[:, None]
+    if rng.random() < 0.4:
+        chin, lip = blob(0, -6.5, rng.uniform(2, 5), 1.8), blob(0, -2.2, rng.uniform(1.5, 3), 0.5)
+        out *= 1 - (rng.uniform(0, 0.5) * np.clip(chin + lip, 0, 1))[:, None]
+    lips = blob(0, -3.7, 2.3, 0.8)[:, None] * rng.uniform(0, 0.3)
+    return out * (1 - lips * np.array([0.0, 1.0, 0.7]))
+
+
 def dressed(basis, rng, skins):
     """Colours [V, 3] of a new person: a skin or a mixture of two, its tone changed, hair, eyes, teeth and lashes added."""
     (a, tone), (b, _) = skins[rng.integers(len(skins))], skins[rng.integers(len(skins))]
@@ -104,6 +122,7 @@ def dressed(basis, rng, skins):
     tone = tone * gain * tint
     colours[FACE_END:HEAD_END] = tone
     v = basis.neutral
+    colours[:FACE_END] *= complexion(basis, rng)
     if rng.random() < 0.85:
         hair = rng.choice(np.array([[0.08, 0.06, 0.05], [0.25, 0.15, 0.08], [0.5, 0.38, 0.22], [0.35, 0.33, 0.32]]))
         line = rng.uniform(8.5, 10.5) - 0.05 * v[:, 0] ** 2 * rng.uniform(0, 1)

@@ -10,6 +10,7 @@ pub mod check;
 #[doc(hidden)]
 pub mod cli;
 pub mod error;
+pub mod gaze;
 pub mod head_pose;
 pub mod import;
 pub mod models;

@@ -5,9 +5,23 @@ use std::path::{Path, PathBuf};
 use polars::io::parquet::write::BatchedWriter;
 use polars::prelude::{Column, DataFrame, ParquetCompression, ParquetWriter};
 use risorius_formats::atomic::AtomicFile;
+use risorius_formats::au::OPENFACE_INTENSITIES;
 use risorius_formats::{ActionUnit, FrameRecord, Track, TrackRow};
 
+use crate::aus::UNITS;
 use crate::error::{Result, TrackerError};
+use crate::gaze::{EYE_LANDMARKS, Gaze};
+
+/// What is known of a frame beside its row.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Extra {
+    /// Whether the row lies between two tracked frames.
+    pub interpolated: bool,
+    /// How sure each intensity of [`OPENFACE_INTENSITIES`] is, 0–1.
+    pub au_confidences: Option<[f32; UNITS]>,
+    /// Gaze and eye landmarks.
+    pub gaze: Option<Gaze>,
+}
 
 /// Rows of a row group: what a writer holds in memory.
 pub const ROWS_PER_GROUP: usize = 4096;
@@ -30,7 +44,9 @@ pub fn write(path: impl AsRef<Path>, track: &Track, frames: &[FrameRecord]) -> R
 /// A table under construction, written in row groups, so that memory does not grow with the video.
 ///
 /// Columns: `frame` (u32, from 0), `timestamp_nanos` (i64), `confidence` (f32), `success` (bool), `interpolated` (bool:
-/// between two tracked frames, not tracked itself), `AUxx_r` (f32, 0–5), `AUxx_c` (bool), `x_0`…`x_67`, `y_0`…`y_67` (f32,
+/// between two tracked frames, not tracked itself), `AUxx_r` (f32, 0–5), `AUxx_c` (bool), `AUxx_confidence` (f32, 0–1; null
+/// where the AUs do not come from the tracker's own readout), `gaze_0_x`… (f32, unit vectors), `gaze_angle_x`, `…_y` (f32,
+/// radians), `eye_lmk_x_0`… (f32, pixels; gaze is null where the eye is closed), `x_0`…`x_67`, `y_0`…`y_67` (f32,
 /// pixels, the centre of the first pixel at 0.5), `pose_Tx`… (f64, mm), `pose_Rx`… (f64, radians). A row without success
 /// holds nulls behind `interpolated`; frames without a row have `success` = false and no confidence.
 pub struct Writer {
@@ -49,12 +65,12 @@ impl Writer {
         Ok(Self { path, units: units.to_vec(), presence_units: presence_units.to_vec(), file, encoder: None })
     }
 
-    /// Appends frames, each with its row if it has one; `interpolated` says which of them are (none where it is empty).
-    pub fn push(&mut self, rows: &[Option<&TrackRow>], frames: &[FrameRecord], interpolated: &[bool]) -> Result<()> {
+    /// Appends frames, each with its row if it has one and what else is known of it (nothing where `extras` is empty).
+    pub fn push(&mut self, rows: &[Option<&TrackRow>], frames: &[FrameRecord], extras: &[Extra]) -> Result<()> {
         let path = &self.path;
         let encode =
             |e: polars::error::PolarsError| TrackerError::Encode { path: path.clone(), message: e.to_string() };
-        let table = table(&self.units, &self.presence_units, rows, frames, interpolated).map_err(encode)?;
+        let table = table(&self.units, &self.presence_units, rows, frames, extras).map_err(encode)?;
         if self.encoder.is_none() {
             let staging = self.file.staging_path();
             let out =
@@ -85,7 +101,7 @@ fn table(
     presence_units: &[ActionUnit],
     rows: &[Option<&TrackRow>],
     frames: &[FrameRecord],
-    interpolated: &[bool],
+    extras: &[Extra],
 ) -> polars::error::PolarsResult<DataFrame> {
     let good: Vec<Option<&TrackRow>> = rows.iter().map(|r| r.filter(|r| r.success)).collect();
     let f32s = |name: String, value: &dyn Fn(&TrackRow) -> Option<f32>| {
@@ -94,7 +110,7 @@ fn table(
     let f64s = |name: &str, value: &dyn Fn(&TrackRow) -> Option<f64>| {
         Column::new(name.into(), good.iter().map(|r| r.and_then(value)).collect::<Vec<Option<f64>>>())
     };
-    let between: Vec<bool> = (0..frames.len()).map(|i| interpolated.get(i).copied().unwrap_or(false)).collect();
+    let between: Vec<bool> = (0..frames.len()).map(|i| extras.get(i).is_some_and(|e| e.interpolated)).collect();
     let mut columns = vec![
         Column::new("frame".into(), frames.iter().map(|f| f.index.0).collect::<Vec<u32>>()),
         Column::new("timestamp_nanos".into(), frames.iter().map(|f| f.timestamp_nanos).collect::<Vec<i64>>()),
@@ -109,6 +125,12 @@ fn table(
         let values: Vec<Option<bool>> = good.iter().map(|r| r.and_then(|r| r.presences[k])).collect();
         columns.push(Column::new(format!("{unit}_c").into(), values));
     }
+    for (k, unit) in OPENFACE_INTENSITIES.iter().enumerate() {
+        let confidence = |i: usize| good[i].and_then(|_| extras.get(i)?.au_confidences.map(|c| c[k]));
+        let values: Vec<Option<f32>> = (0..good.len()).map(confidence).collect();
+        columns.push(Column::new(format!("{unit}_confidence").into(), values));
+    }
+    columns.extend(gaze_columns(&good, extras));
     for (axis, name) in ["x", "y"].into_iter().enumerate() {
         for i in 0..68 {
             columns.push(f32s(format!("{name}_{i}"), &|r| r.landmarks.as_ref().map(|l| l.points_px[i][axis])));
@@ -121,6 +143,31 @@ fn table(
         columns.push(f64s(name, &|r| r.head_pose.map(|p| p.rotation_rad[axis])));
     }
     DataFrame::new(frames.len(), columns)
+}
+
+/// Gaze and eye landmarks; a closed eye has no gaze.
+fn gaze_columns(good: &[Option<&TrackRow>], extras: &[Extra]) -> Vec<Column> {
+    let column = |name: String, value: &dyn Fn(&Gaze) -> Option<f32>| {
+        let of = |i: usize| good[i].and_then(|_| value(extras.get(i)?.gaze.as_ref()?));
+        Column::new(name.into(), (0..good.len()).map(of).collect::<Vec<Option<f32>>>())
+    };
+    let mut columns = Vec::new();
+    for eye in 0..2 {
+        for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+            let value = |g: &Gaze| g.open[eye].then_some(g.directions[eye][axis] as f32);
+            columns.push(column(format!("gaze_{eye}_{name}"), &value));
+        }
+    }
+    for (axis, name) in ["x", "y"].into_iter().enumerate() {
+        let value = |g: &Gaze| (g.open == [true; 2]).then_some(g.angles[axis] as f32);
+        columns.push(column(format!("gaze_angle_{name}"), &value));
+    }
+    for (axis, name) in ["x", "y"].into_iter().enumerate() {
+        for i in 0..EYE_LANDMARKS {
+            columns.push(column(format!("eye_lmk_{name}_{i}"), &|g| Some(g.landmarks_px[i][axis])));
+        }
+    }
+    columns
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use safetensors::{Dtype, SafeTensors};
 use crate::aus::readout::{Part, Readout};
 use crate::head_pose::shape::ShapeModel;
 
-static FILE: &[u8] = include_bytes!("../models/face_v1.safetensors");
+static FILE: &[u8] = include_bytes!("../models/face_v2.safetensors");
 static WEIGHTS: LazyLock<Weights> =
     LazyLock::new(|| Weights::parse(FILE).expect("the embedded file is whole: a test reads it"));
 
@@ -68,26 +68,27 @@ impl File<'_> {
         Ok(tensor.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
     }
 
-    fn readout(&self, name: &str) -> Result<Readout, String> {
-        let mut parts = Vec::new();
-        for kind in ["mesh", "blendshapes", "inner8", "inner16"] {
-            let part = format!("{name}.{kind}");
-            let Ok(tensor) = self.tensors.tensor(&part) else { continue };
-            if tensor.dtype() != Dtype::I8 {
-                return Err(format!("{part}: is not of 8-bit integers"));
-            }
-            let weights: Vec<i8> = tensor.data().iter().map(|b| i8::from_le_bytes([*b])).collect();
-            parts.push(Part { weights, scales: self.floats(&format!("{part}.scale"))? });
+    /// Rows of one input; none where the readout does without it.
+    fn part(&self, name: &str) -> Result<Part, String> {
+        let Ok(tensor) = self.tensors.tensor(name) else { return Ok(Part::default()) };
+        if tensor.dtype() != Dtype::I8 {
+            return Err(format!("{name}: is not of 8-bit integers"));
         }
+        let weights = tensor.data().iter().map(|b| i8::from_le_bytes([*b])).collect();
+        Ok(Part { weights, scales: self.floats(&format!("{name}.scale"))? })
+    }
+
+    fn readout(&self, name: &str) -> Result<Readout, String> {
+        let part = |kind: &str| self.part(&format!("{name}.{kind}"));
         let numbers = |what: &str| self.floats(&format!("{name}.{what}"));
         Ok(Readout {
-            parts,
+            // The same in all readouts.
+            skin: self.part("fhog")?,
+            points: [part("mesh")?, part("blendshapes")?, part("inner16")?],
+            share: numbers("share")?,
             gain: numbers("gain")?,
-            threshold: numbers("threshold")?,
             presence: numbers("presence")?,
-            prior_mean: numbers("prior_mean")?,
-            prior_deviation: numbers("prior_deviation")?,
-            noise: numbers("noise")?,
+            reliability: numbers("reliability")?,
         })
     }
 }
@@ -95,7 +96,9 @@ impl File<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::aus::{POSE_TERMS, UNITS};
+    use crate::aus::UNITS;
+    use crate::aus::fhog::FHOG_NUMBERS;
+    use crate::aus::readout::MESH_NUMBERS;
     use crate::run::mesh::{LEFT_EYE, MESH_POINTS, RIGHT_EYE};
 
     #[test]
@@ -105,17 +108,19 @@ mod tests {
         let (a, b) = (w.canonical[LEFT_EYE], w.canonical[RIGHT_EYE]);
         assert!(((0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f32>() - 1.0).abs() < 1e-4);
         assert!(w.shape.modes.len() >= 10 && w.shape.modes.iter().all(|m| m.len() == 68));
-        assert_eq!(w.readouts.iter().map(|r| r.parts.len()).collect::<Vec<_>>(), [4, 2, 1]);
+        let columns = |p: &Part| p.weights.len() / UNITS;
+        let points = w.readouts.iter().map(|r| r.points.each_ref().map(columns)).collect::<Vec<_>>();
+        let maps = 11 * 12 * 128;
+        assert_eq!(points, [[MESH_NUMBERS, 52, maps], [MESH_NUMBERS, 52, 0], [MESH_NUMBERS, 0, 0]]);
         for r in &w.readouts {
-            for part in &r.parts {
-                assert_eq!((part.weights.len() % UNITS, part.scales.len()), (0, UNITS));
+            assert_eq!(r.skin.weights.len(), UNITS * FHOG_NUMBERS);
+            for part in r.points.iter().chain([&r.skin]).filter(|p| !p.weights.is_empty()) {
+                assert_eq!(part.scales.len(), UNITS);
             }
-            for numbers in [&r.gain, &r.threshold, &r.presence, &r.noise] {
-                assert!(numbers.len() == UNITS && numbers.iter().all(|v| v.is_finite()));
+            for numbers in [&r.share, &r.gain, &r.presence, &r.reliability] {
+                assert!(numbers.len() == UNITS && numbers.iter().all(|v| v.is_finite() && *v >= 0.0));
             }
-            for numbers in [&r.prior_mean, &r.prior_deviation] {
-                assert_eq!(numbers.len(), UNITS * POSE_TERMS);
-            }
+            assert!(r.share.iter().chain(&r.reliability).all(|v| *v <= 1.0));
         }
     }
 }

@@ -9,12 +9,10 @@ use std::path::{Path, PathBuf};
 use risorius_formats::Hint;
 use risorius_formats::openface::{self, ReadOptions};
 use risorius_formats::report::Collected;
-use risorius_tracker::aus::readout;
 use risorius_tracker::models::default_dir;
-use risorius_tracker::models::runtime::{Network, Runtime, library_places};
+use risorius_tracker::models::runtime::{Runtime, library_places};
 use risorius_tracker::run::follow::FirstFace;
 use risorius_tracker::run::{RunOptions, RunSummary, run};
-use risorius_tracker::weights::Weights;
 
 #[path = "support/onnx.rs"]
 mod onnx;
@@ -216,30 +214,6 @@ fn networks_that_do_not_fit_are_named_and_nothing_is_written() {
     std::fs::write(good.join("detector.onnx"), b"not a network").unwrap();
     let found = error(&good);
     assert!(found.contains("detector.onnx: cannot be loaded as a network") && !found.contains('\n'), "{found}");
-}
-
-#[test]
-fn the_exported_readout_gives_the_scores_of_the_built_in_one() {
-    let Some(runtime) = runtime() else { return };
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/au_readout_v1.onnx");
-    let readout = &Weights::get().readouts[0];
-    let lengths: Vec<usize> = readout.parts.iter().map(|p| p.weights.len() / 17).collect();
-    assert_eq!(lengths[0], readout::MESH_NUMBERS);
-    let features: Vec<f32> =
-        (0..lengths.iter().sum::<usize>()).map(|i| ((i * 7919) % 1013) as f32 / 500.0 - 1.0).collect();
-    let mut inputs = Vec::new();
-    let mut rest = features.as_slice();
-    for length in &lengths {
-        let (part, others) = rest.split_at(*length);
-        inputs.push(part);
-        rest = others;
-    }
-    let own = readout.scores(&inputs).unwrap();
-    let mut network = Network::open(&runtime, &path, &[1, features.len()], &["scores"]).unwrap();
-    let exported = network.run(&features, |o| o[0].to_vec()).unwrap();
-    for (a, b) in own.iter().zip(&exported) {
-        assert!((a - b).abs() < 1e-3 * (1.0 + b.abs()), "{own:?} {exported:?}");
-    }
 }
 
 /// The default models, or `None` with a loud word about it.

@@ -1,10 +1,13 @@
-//! Action units from the landmark network.
+//! Action units from one face.
 //!
-//! A [`readout`] is linear: from the aligned mesh, the blendshape coefficients and what the landmark network thinks inside
-//! (the feature maps before its points) to one score for each AU. A score alone says little, because people differ at rest
-//! and the network sees a turned face differently: [`person`] finds what the scores of this person's resting face are, for
-//! every pose, and the AU is what is above that.
+//! Two linear readouts score each AU: one reads gradients of the masked, aligned face ([`face`], [`fhog`]), the other the
+//! aligned mesh, the blendshape coefficients and the landmark network's feature map ([`readout`]). A score alone says
+//! little, because people differ at rest and a turned face scores differently: [`person`] finds the scores of this
+//! person's resting face, and the AU is what is above them. How far the two readouts agree is the AU's confidence.
 
+pub mod face;
+pub mod fhog;
+pub mod memory;
 pub mod person;
 pub mod readout;
 
@@ -12,21 +15,22 @@ pub use person::{Calibration, Person};
 
 /// AUs of a readout, OpenFace's intensities in their order.
 pub const UNITS: usize = 17;
-/// Terms of a person's resting score: 1, yaw, pitch, yaw², yaw × pitch, pitch².
-pub const POSE_TERMS: usize = 6;
-/// Numbers kept of every frame: scores, then yaw and pitch.
-pub const FEATURES: usize = UNITS + 2;
+/// Scores of a frame: one of each readout for each AU.
+pub const SCORES: usize = 2 * UNITS;
+/// Where yaw lies in a frame's features.
+pub const YAW: usize = SCORES;
+/// Where pitch lies in a frame's features.
+pub const PITCH: usize = YAW + 1;
+/// Numbers kept of every frame: two scores of each AU, then yaw and pitch.
+pub const FEATURES: usize = PITCH + 1;
 
-/// Intensities and presences of one frame.
+/// Intensities, presences and confidences of one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Units {
     /// 0–5.
     pub intensities: [f32; UNITS],
     /// Whether the AU is there.
     pub presences: [bool; UNITS],
-}
-
-/// The terms of a pose.
-fn pose_terms(yaw: f64, pitch: f64) -> [f64; POSE_TERMS] {
-    [1.0, yaw, pitch, yaw * yaw, yaw * pitch, pitch * pitch]
+    /// How sure the intensity is, 0–1.
+    pub confidences: [f32; UNITS],
 }

@@ -1,16 +1,14 @@
 use super::*;
+use crate::aus::readout::Part;
 
-/// People's resting scores vary by about 1, and the video's noise is 0.1.
 fn readout() -> &'static Readout {
-    let prior_deviation = [1.0, 0.5, 0.5, 0.3, 0.3, 0.3].repeat(UNITS);
     Box::leak(Box::new(Readout {
-        parts: vec![],
+        skin: Part::default(),
+        points: [const { Part { weights: Vec::new(), scales: Vec::new() } }; 3],
+        share: vec![0.5; UNITS],
         gain: vec![2.0; UNITS],
-        threshold: vec![0.2; UNITS],
         presence: vec![1.0; UNITS],
-        prior_mean: vec![0.0; UNITS * POSE_TERMS],
-        prior_deviation,
-        noise: vec![0.1; UNITS],
+        reliability: vec![0.8; UNITS],
     }))
 }
 
@@ -22,13 +20,13 @@ fn video(frames: usize, shown: usize, share: f64) -> Vec<([f32; FEATURES], bool)
             let (yaw, pitch) = (0.5 * (t * 0.013).sin(), 0.2 * (t * 0.021).cos());
             let active = (t * 0.01).fract() < share;
             let mut frame = [0.0; FEATURES];
-            for (j, value) in frame[..UNITS].iter_mut().enumerate() {
-                let rest = 0.8 - 0.1 * j as f64 + 0.6 * yaw - 0.4 * pitch + 0.3 * yaw * yaw;
-                let expression = if active && j == shown { 2.0 } else { 0.0 };
-                *value = (rest + expression + 0.05 * (t * (1.7 + j as f64)).sin()) as f32;
+            for (k, value) in frame[..SCORES].iter_mut().enumerate() {
+                let rest = 40.0 - 0.1 * k as f64 + 0.6 * yaw - 0.4 * pitch + 0.1 * yaw * yaw;
+                let expression = if active && k % UNITS == shown { 2.0 } else { 0.0 };
+                *value = (rest + expression + 0.05 * (t * (1.7 + k as f64)).sin()) as f32;
             }
-            frame[UNITS] = yaw as f32;
-            frame[UNITS + 1] = pitch as f32;
+            frame[YAW] = yaw as f32;
+            frame[PITCH] = pitch as f32;
             (frame, active)
         })
         .collect()
@@ -51,13 +49,13 @@ fn measure(person: &mut Person, video: &[([f32; FEATURES], bool)], shown: usize)
 
 #[test]
 fn the_rest_of_a_person_who_turns_and_smiles_is_found() {
-    // Shown in a tenth of the frames, in a third, and most of the time.
-    for (share, at_least) in [(0.1, 3.3), (0.35, 3.2), (0.55, 2.5)] {
+    // No prior says where rest lies, so that it has to be shown in most of the frames: in 90 % of them, and in 65 %.
+    for (share, at_least) in [(0.1, 3.7), (0.35, 3.6)] {
         let video = video(1500, 8, share);
         let frames: Vec<_> = video.iter().map(|f| f.0).collect();
         let mut person = Person::learn(readout(), &frames, Calibration::WholeVideo);
         let [active, resting, others] = measure(&mut person, &video, 8);
-        assert!(active > at_least && resting < 0.1 && others < 0.02, "{share}: {active} {resting} {others}");
+        assert!(active > at_least && resting < 0.15 && others < 0.1, "{share}: {active} {resting} {others}");
     }
 }
 
@@ -67,24 +65,33 @@ fn online_it_is_nearly_as_good_after_a_while() {
     let mut person = Person::learn(readout(), &[], Calibration::Online);
     measure(&mut person, &video[..1500], 8);
     let [active, resting, others] = measure(&mut person, &video[1500..], 8);
-    assert!(active > 3.2 && resting < 0.1 && others < 0.02, "{active} {resting} {others}");
+    assert!(active > 3.6 && resting < 0.15 && others < 0.1, "{active} {resting} {others}");
 }
 
 #[test]
-fn without_frames_people_in_general_are_assumed() {
+fn without_frames_nothing_is_known_and_the_first_live_frame_is_rest() {
     let mut person = Person::learn(readout(), &[], Calibration::WholeVideo);
-    let units = person.units(&[1.2; FEATURES]).unwrap();
-    assert!((units.intensities[0] - 2.0).abs() < 1e-5, "{units:?}");
+    assert!(person.units(&[1.2; FEATURES]).is_none());
+    let mut person = Person::learn(readout(), &[], Calibration::Online);
+    assert_eq!(person.units(&[1.2; FEATURES]).unwrap().intensities, [0.0; UNITS]);
     assert!(person.units(&[1.0; 3]).is_none());
 }
 
 #[test]
-fn what_is_remembered_stays_spread_over_all_that_was_seen() {
-    let mut memory = Memory { frames: Vec::new(), seen: 0, step: 1 };
-    for i in 0..5000 {
-        memory.push(&[i as f32; FEATURES]);
+fn confidence_is_high_where_both_readouts_see_the_same() {
+    let mut frames: Vec<[f32; FEATURES]> = video(1500, 8, 0.2).into_iter().map(|f| f.0).collect();
+    // AU number 3 is seen by one readout only.
+    for frame in frames.iter_mut().skip(700).step_by(9) {
+        frame[3] += 2.0;
     }
-    assert!(memory.frames.len() < REMEMBERED && memory.frames.len() > REMEMBERED / 3);
-    let gaps: Vec<f32> = memory.frames.windows(2).map(|w| w[1][0] - w[0][0]).collect();
-    assert!(gaps.iter().all(|g| *g == gaps[0]), "{gaps:?}");
+    let mut person = Person::learn(readout(), &frames, Calibration::WholeVideo);
+    let mut mean = [0.0; UNITS];
+    for frame in &frames {
+        let units = person.units(frame).unwrap();
+        assert!(units.confidences.iter().all(|c| (0.0..=1.0).contains(c)));
+        for (mean, c) in mean.iter_mut().zip(units.confidences) {
+            *mean += c / frames.len() as f32;
+        }
+    }
+    assert!(mean[8] > 0.7 && mean[3] < 0.3, "{mean:?}");
 }

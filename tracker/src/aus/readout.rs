@@ -1,58 +1,84 @@
-//! The linear part of the AU regressor.
+//! The linear part of the AU regressor: from one frame's inputs to two scores for each AU.
 
 use risorius_formats::Similarity;
 
-use super::{FEATURES, UNITS};
+use super::{FEATURES, PITCH, UNITS, YAW};
 use crate::run::mesh::{MESH_POINTS, Mesh};
 
 /// Numbers of the aligned mesh.
 pub const MESH_NUMBERS: usize = 3 * MESH_POINTS;
 
 /// Weights of one kind of input: 8-bit integers, each row (AU) with its own scale.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Part {
-    /// One row for each AU.
+    /// One row for each AU; none at all where the readout does without this input.
     pub weights: Vec<i8>,
     /// What a weight's unit is worth in each row.
     pub scales: Vec<f32>,
 }
 
-/// A readout and the numbers that turn its scores into AUs.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Readout {
-    /// For the mesh, the blendshapes and the inner maps, as far as this readout needs them.
-    pub parts: Vec<Part>,
-    /// Intensity per score above rest, by AU.
-    pub gain: Vec<f32>,
-    /// Score above rest at which an AU begins, by AU.
-    pub threshold: Vec<f32>,
-    /// Intensity at which an AU counts as present, by AU.
-    pub presence: Vec<f32>,
-    /// Mean over people of the resting score's pose terms, AU by AU.
-    pub prior_mean: Vec<f32>,
-    /// How people differ in them.
-    pub prior_deviation: Vec<f32>,
-    /// Deviation of a resting person's scores from the fit, by AU.
-    pub noise: Vec<f32>,
+/// What a readout reads of one frame; an input that it does without is ignored.
+#[derive(Clone, Copy, Debug)]
+pub struct Inputs<'a> {
+    /// [`super::fhog`] of the aligned face.
+    pub fhog: &'a [f32],
+    /// The aligned mesh.
+    pub mesh: &'a [f32],
+    /// Coefficients of the blendshape network.
+    pub blendshapes: &'a [f32],
+    /// The landmark network's 16×16 map, where it sees the face.
+    pub inner16: &'a [f32],
 }
 
+/// Two linear readouts that do not share an input, and the numbers that make one AU of both.
+///
+/// Their scores are in units of intensity. The AU is the mean of both, `share` of it from the skin; how far they agree
+/// says how sure it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Readout {
+    /// Reads the FHOG of the skin.
+    pub skin: Part,
+    /// Read together, beside the skin: mesh, blendshapes, inner map.
+    pub points: [Part; 3],
+    /// Share of the skin's score in each AU, 0–1.
+    pub share: Vec<f32>,
+    /// Intensity per mixed score above rest, by AU.
+    pub gain: Vec<f32>,
+    /// Intensity at which an AU counts as present, by AU.
+    pub presence: Vec<f32>,
+    /// Agreement with the truth on rendered people nobody trained on, r by AU.
+    pub reliability: Vec<f32>,
+}
+
+/// Scores of one frame: those of the skin, then those of the points.
+pub type Scores = [f32; 2 * UNITS];
+
 impl Readout {
-    /// The score of each AU; one input for each part, of the length its rows have.
-    pub fn scores(&self, inputs: &[&[f32]]) -> Option<[f32; UNITS]> {
-        if inputs.len() != self.parts.len() {
+    /// The scores of a frame; `None` where an input has another length than its rows, or is not finite.
+    pub fn scores(&self, inputs: &Inputs) -> Option<Scores> {
+        let mut scores = [0.0; 2 * UNITS];
+        let (skin, points) = scores.split_at_mut(UNITS);
+        self.skin.add(inputs.fhog, skin)?;
+        for (part, input) in self.points.iter().zip([inputs.mesh, inputs.blendshapes, inputs.inner16]) {
+            part.add(input, points)?;
+        }
+        scores.iter().all(|v| v.is_finite()).then_some(scores)
+    }
+}
+
+impl Part {
+    /// Adds the product with an input to the scores.
+    fn add(&self, input: &[f32], scores: &mut [f32]) -> Option<()> {
+        if self.weights.is_empty() {
+            return Some(());
+        }
+        if self.weights.len() != UNITS * input.len() || self.scales.len() != UNITS {
             return None;
         }
-        let mut scores = [0.0; UNITS];
-        for (part, input) in self.parts.iter().zip(inputs) {
-            if part.weights.len() != UNITS * input.len() {
-                return None;
-            }
-            for ((score, row), scale) in scores.iter_mut().zip(part.weights.chunks_exact(input.len())).zip(&part.scales)
-            {
-                *score += scale * dot(row, input);
-            }
+        for ((score, row), scale) in scores.iter_mut().zip(self.weights.chunks_exact(input.len())).zip(&self.scales) {
+            *score += scale * dot(row, input);
         }
-        Some(scores)
+        Some(())
     }
 }
 
@@ -77,12 +103,12 @@ pub fn aligned(mesh: &Mesh, canonical_from_picture: &Similarity) -> Vec<f32> {
 }
 
 /// What is kept of a frame: the scores, yaw and pitch of the head against the camera, radians.
-pub fn features(scores: &[f32; UNITS], canonical_from_picture: &Similarity) -> [f32; FEATURES] {
+pub fn features(scores: &Scores, canonical_from_picture: &Similarity) -> [f32; FEATURES] {
     let toward = canonical_from_picture.rotation.row(2);
     let mut out = [0.0; FEATURES];
-    out[..UNITS].copy_from_slice(scores);
-    out[UNITS] = toward.x.atan2(toward.z) as f32;
-    out[UNITS + 1] = (-toward.y).clamp(-1.0, 1.0).asin() as f32;
+    out[..scores.len()].copy_from_slice(scores);
+    out[YAW] = toward.x.atan2(toward.z) as f32;
+    out[PITCH] = (-toward.y).clamp(-1.0, 1.0).asin() as f32;
     out
 }
 
@@ -102,19 +128,20 @@ mod tests {
 
     #[test]
     fn inputs_of_another_size_have_no_scores() {
-        let part = Part { weights: vec![1; UNITS * 4], scales: vec![0.5; UNITS] };
+        let part = |length: usize| Part { weights: vec![1; UNITS * length], scales: vec![0.5; UNITS] };
         let numbers = vec![0.0; UNITS];
         let readout = Readout {
-            parts: vec![part],
+            skin: part(4),
+            points: [part(2), Part::default(), part(1)],
+            share: numbers.clone(),
             gain: numbers.clone(),
-            threshold: numbers.clone(),
             presence: numbers.clone(),
-            prior_mean: vec![],
-            prior_deviation: vec![],
-            noise: numbers,
+            reliability: numbers,
         };
-        assert_eq!(readout.scores(&[&[1.0, 2.0, 3.0, 4.0]]), Some([5.0; UNITS]));
-        assert_eq!(readout.scores(&[&[1.0, 2.0]]), None);
-        assert_eq!(readout.scores(&[]), None);
+        let inputs = Inputs { fhog: &[1.0, 2.0, 3.0, 4.0], mesh: &[2.0, 2.0], blendshapes: &[7.0], inner16: &[1.0] };
+        let scores = readout.scores(&inputs).unwrap();
+        assert_eq!((scores[0], scores[UNITS], scores[2 * UNITS - 1]), (5.0, 2.5, 2.5));
+        assert_eq!(readout.scores(&Inputs { mesh: &[1.0], ..inputs }), None);
+        assert_eq!(readout.scores(&Inputs { inner16: &[f32::NAN], ..inputs }), None);
     }
 }

@@ -4,8 +4,11 @@ use image::RgbImage;
 
 use super::crop::{Crop, Sampling};
 use super::mesh::{self, MESH_POINTS, Mesh};
-use crate::aus::readout::{self, Readout};
+use crate::aus::face::{AlignedFace, NetworkInput};
+use crate::aus::fhog::fhog;
+use crate::aus::readout::{self, Inputs, Readout};
 use crate::error::{Result, TrackerError};
+use crate::gaze::{self, EYE_NUMBERS};
 use crate::models::ModelFolder;
 use crate::models::manifest::{AuModel, LandmarkModel, Layout, PointSet};
 use crate::models::runtime::{Network, Runtime};
@@ -21,11 +24,15 @@ pub struct Found {
     pub points_px: [[f32; 2]; 68],
     /// All points of the mesh, where the network gives one.
     pub mesh: Option<Box<Mesh>>,
-    /// Feature maps inside the network: 8×8×128, and the part of 16×16×128 that sees the face.
-    inner: Option<[Vec<f32>; 2]>,
-    /// What the AUs are made of: scores of the readout with the head's yaw and pitch, where the network gives a mesh; or
-    /// the intensities of an AU network.
+    /// The part of the network's 16×16×128 feature map that sees the face.
+    inner16: Option<Vec<f32>>,
+    /// The masked, aligned face, where there is a readout for it.
+    face: Option<AlignedFace>,
+    /// What the AUs are made of: [`readout::features`], where the network gives a mesh; or the intensities of an AU
+    /// network.
     pub features: Vec<f32>,
+    /// Numbers of the eyes, where the network gives a mesh.
+    pub eyes: Option<Box<[f32; EYE_NUMBERS]>>,
     /// Probability that this is a face, 0–1.
     pub presence: f32,
     /// Where to look next.
@@ -51,11 +58,7 @@ impl Landmarker {
         let shape = if model.layout == Layout::Nhwc { [1, size, size, 3] } else { [1, 3, size, size] };
         let mut outputs = vec![model.points.as_str()];
         outputs.extend(model.presence.as_deref());
-        let has_inner = model.inner8.is_some() && model.inner16.is_some();
-        if has_inner {
-            outputs.extend(model.inner8.as_deref());
-            outputs.extend(model.inner16.as_deref());
-        }
+        outputs.extend(model.inner16.as_deref());
         let network = Network::open(runtime, &models.dir.join(&model.file), &shape, &outputs)?;
         let blendshapes = match &models.manifest.blendshapes {
             Some(m) => {
@@ -74,7 +77,7 @@ impl Landmarker {
         };
         // Those that need more come first.
         let readouts = &Weights::get().readouts;
-        let readout = match (model.kind, blendshapes.is_some(), has_inner) {
+        let readout = match (model.kind, blendshapes.is_some(), model.inner16.is_some()) {
             _ if aus.is_some() => None,
             (PointSet::Points68, ..) => None,
             (_, true, true) => readouts.first(),
@@ -112,6 +115,15 @@ impl Landmarker {
         };
         sampling.sample(picture, &matrix, &mut self.input);
         let depth_scale = crop.side / model.width as f32;
+        let has_readout = self.readout.is_some();
+        let picture_of_input = NetworkInput {
+            numbers: &self.input,
+            width: model.width as usize,
+            height: model.height as usize,
+            layout: model.layout,
+            mean: model.mean,
+            scale: model.scale,
+        };
         let decoded = self.network.run(&self.input, |outputs| {
             let mut outputs = outputs.iter();
             let values = *outputs.next().unwrap_or(&&[][..]);
@@ -119,10 +131,7 @@ impl Landmarker {
                 Some(logit) => logit.first().map_or(f32::NAN, |l| 1.0 / (1.0 + (-l).exp())),
                 None => 1.0,
             };
-            let inner = match (outputs.next(), outputs.next()) {
-                (Some(map8), Some(map16)) => Some(inner_maps(map8, map16)?),
-                _ => None,
-            };
+            let inner16 = model.inner16.as_ref().and_then(|_| outputs.next()).map(|map| window_of(map)).transpose()?;
             let expected = match model.kind {
                 PointSet::Mesh478 => 3 * MESH_POINTS,
                 PointSet::Points68 => 2 * 68,
@@ -135,20 +144,21 @@ impl Landmarker {
             }
             Ok(match model.kind {
                 PointSet::Mesh478 => {
-                    let mut points = Box::new([[0.0; 3]; MESH_POINTS]);
-                    for (point, v) in points.iter_mut().zip(values.chunks_exact(3)) {
-                        let [x, y] = matrix.apply([v[0], v[1]]);
-                        *point = [x, y, v[2] * depth_scale];
-                    }
-                    (presence, None, Some(points), inner)
+                    let at = |i: usize| [values[3 * i], values[3 * i + 1]];
+                    let mesh: Box<Mesh> = Box::new(std::array::from_fn(|i| {
+                        let [x, y] = matrix.apply(at(i));
+                        [x, y, values[3 * i + 2] * depth_scale]
+                    }));
+                    let face = has_readout.then(|| AlignedFace::sample(&picture_of_input, &std::array::from_fn(at)));
+                    (presence, None, Some(mesh), inner16, face.flatten())
                 }
                 PointSet::Points68 => {
                     let at = |i: usize| matrix.apply([values[2 * i], values[2 * i + 1]]);
-                    (presence, Some(std::array::from_fn(at)), None, None)
+                    (presence, Some(std::array::from_fn(at)), None, None, None)
                 }
             })
         })?;
-        let (presence, points, mesh, inner) = decoded.map_err(|problem| TrackerError::NetworkOutput {
+        let (presence, points, mesh, inner16, face) = decoded.map_err(|problem| TrackerError::NetworkOutput {
             path: self.network.path().to_owned(),
             output: model.points.clone(),
             problem,
@@ -172,28 +182,30 @@ impl Landmarker {
             (Some(mesh), None) => mesh::landmarks68(mesh),
             (None, None) => return Ok(None),
         };
-        Ok(Some(Found { points_px, mesh, inner, features: Vec::new(), presence, crop: next }))
+        Ok(Some(Found { points_px, mesh, inner16, face, features: Vec::new(), eyes: None, presence, crop: next }))
     }
 
-    /// Adds the features, as far as there are networks for them.
+    /// Adds features and eyes, as far as there are networks for them.
     pub fn express(&mut self, picture: &RgbImage, found: &mut Found) -> Result<()> {
+        let aligned = found.mesh.as_ref().and_then(|m| Some((m, mesh::alignment(m, Weights::get())?)));
+        found.eyes = aligned.as_ref().map(|(mesh, alignment)| Box::new(gaze::numbers(mesh, alignment)));
         if self.aus.is_some() {
             return self.express_by_network(picture, found);
         }
-        let (Some(readout), Some(mesh)) = (self.readout, &found.mesh) else { return Ok(()) };
-        let Some(canonical_from_picture) = mesh::alignment(mesh, Weights::get()) else { return Ok(()) };
-        let aligned = readout::aligned(mesh, &canonical_from_picture);
+        let (Some(readout), Some((mesh, canonical_from_picture))) = (self.readout, aligned) else { return Ok(()) };
+        let Some(face) = found.face.take() else { return Ok(()) };
         let coefficients = self.blendshapes(mesh)?;
-        let mut inputs: Vec<&[f32]> = vec![&aligned];
-        inputs.extend(coefficients.as_ref().map(<[f32; BLENDSHAPES]>::as_slice));
-        if let (Some(maps), 3..) = (&found.inner, readout.parts.len()) {
-            inputs.extend(maps.iter().map(Vec::as_slice));
-        }
-        if let Some(scores) = readout.scores(&inputs).filter(|s| s.iter().all(|v| v.is_finite())) {
+        let inputs = Inputs {
+            fhog: &fhog(&face),
+            mesh: &readout::aligned(mesh, &canonical_from_picture),
+            blendshapes: coefficients.as_ref().map(<[f32; BLENDSHAPES]>::as_slice).unwrap_or_default(),
+            inner16: found.inner16.as_deref().unwrap_or_default(),
+        };
+        if let Some(scores) = readout.scores(&inputs) {
             found.features = readout::features(&scores, &canonical_from_picture).to_vec();
         }
-        // They are the largest part, and done with.
-        found.inner = None;
+        // It is large, and done with.
+        found.inner16 = None;
         Ok(())
     }
 
@@ -238,26 +250,22 @@ impl Landmarker {
     }
 }
 
-/// Channels of the inner maps.
+/// Channels of the inner map.
 const CHANNELS: usize = 128;
 /// Rows and columns of the 16×16 map that see the face.
 const WINDOW: [std::ops::Range<usize>; 2] = [3..14, 2..14];
 
-/// The inner maps as the readout wants them: channel by channel, row by row.
-fn inner_maps(map8: &[f32], map16: &[f32]) -> Result<[Vec<f32>; 2], String> {
-    if map8.len() != CHANNELS * 8 * 8 || map16.len() != CHANNELS * 16 * 16 {
-        return Err(format!(
-            "has inner maps of {} and {} numbers, expected 8×8×128 and 16×16×128",
-            map8.len(),
-            map16.len()
-        ));
+/// The 16×16 map as the readout wants it: the cells that see the face, channel by channel, row by row.
+fn window_of(map: &[f32]) -> Result<Vec<f32>, String> {
+    if map.len() != CHANNELS * 16 * 16 {
+        return Err(format!("has an inner map of {} numbers, expected 16×16×128", map.len()));
     }
     let [rows, columns] = &WINDOW;
     let mut window = Vec::with_capacity(CHANNELS * rows.len() * columns.len());
-    for channel in map16.chunks_exact(16 * 16) {
+    for channel in map.chunks_exact(16 * 16) {
         for row in channel.chunks_exact(16).take(rows.end).skip(rows.start) {
             window.extend_from_slice(&row[columns.clone()]);
         }
     }
-    Ok([map8.to_vec(), window])
+    Ok(window)
 }

@@ -22,6 +22,7 @@ use super::open_networks;
 use super::rows::{Pieces, RowMaker};
 use crate::aus::{Calibration, Person};
 use crate::error::{Result, TrackerError};
+use crate::gaze::Gazer;
 use crate::head_pose::Lens;
 use crate::poses::triangulate::median;
 use crate::weights::Weights;
@@ -216,12 +217,13 @@ fn track(
                 shape: Weights::get().shape.fit(&lens, &[]),
                 person,
                 au_model: follower.au_model(),
+                eyes: Gazer::learn(&[], Calibration::Online),
                 before: None,
+                pitch_apart: (0.0, 0),
             }
         });
         let found = follower.block(std::slice::from_ref(&picture.image))?.pop().flatten();
-        let observation =
-            found.map(|f| Observation { points_px: f.points_px, presence: f.presence, features: f.features });
+        let observation = found.map(Observation::from);
         if let Some(o) = observation.as_ref().filter(|_| seen.len() < SHAPE_AT[SHAPE_AT.len() - 1]) {
             seen.push(o.points_px);
             if SHAPE_AT.contains(&seen.len()) {
@@ -231,11 +233,11 @@ fn track(
                 maker.shape = Weights::get().shape.fit(&maker.lens, &some);
             }
         }
-        let row = maker.row(FrameIndex(picture.index), picture.secs, observation.as_ref());
+        let (row, extra) = maker.row(FrameIndex(picture.index), picture.secs, observation.as_ref());
         summary.lost += u64::from(!row.success);
         summary.frames += 1;
         let piece = Track { units: units.clone(), presence_units: units.clone(), rows: vec![row] };
-        match out.write_all(&pieces.lines(&piece)?).and_then(|()| out.flush()) {
+        match out.write_all(&pieces.lines(&piece, &[extra])?).and_then(|()| out.flush()) {
             Ok(()) => {}
             // Whoever read the rows has seen enough.
             Err(e) if e.kind() == ErrorKind::BrokenPipe => break,

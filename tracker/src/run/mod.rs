@@ -4,10 +4,12 @@
 //! ([`observations`]). Then the person is known: the shape of the resting face and the features of its rest. The second
 //! pass turns what was seen into rows and writes them ([`rows`]). Memory does not grow with the length of the video.
 
+pub mod between;
 pub mod crop;
 pub mod detect;
 pub mod follow;
 pub mod frames;
+pub mod gaze_columns;
 pub mod landmarks;
 pub mod live;
 pub mod mesh;
@@ -23,6 +25,7 @@ use serde::Serialize;
 
 use crate::aus::{Calibration, FEATURES, Person};
 use crate::error::{Result, TrackerError};
+use crate::gaze::Gazer;
 use crate::head_pose::{Lens, shape::PersonShape};
 use crate::models::ModelFolder;
 use crate::models::runtime::{Runtime, library_places};
@@ -127,6 +130,9 @@ pub fn run(take_dir: impl AsRef<Path>, options: &RunOptions, reporter: &dyn Repo
         let features: Vec<_> = sample.iter().filter_map(|o| o.features.as_slice().try_into().ok()).collect();
         Person::learn(readout, &features, options.calibration)
     });
+    let eyes: Vec<_> = sample.iter().filter_map(|o| o.eyes.as_deref().copied()).collect();
+    let eyes = Gazer::learn(&eyes, options.calibration);
+    let person_is_known = person.is_some() && options.calibration == Calibration::WholeVideo;
     let network = follower.au_model();
     let au_model = match &network {
         Some(m) => m.sha256.clone().unwrap_or_else(|| m.file.clone()),
@@ -134,8 +140,8 @@ pub fn run(take_dir: impl AsRef<Path>, options: &RunOptions, reporter: &dyn Repo
         None => "none: no mesh".to_owned(),
     };
     let shape_error_px = shape.error * lens.focal_px;
-    let maker = rows::RowMaker { lens, shape, person, au_model: network, before: None };
-    let writer = rows::Writer { take: &take, maker, every };
+    let maker = rows::RowMaker { lens, shape, person, au_model: network, eyes, before: None, pitch_apart: (0.0, 0) };
+    let writer = rows::Writer { take: &take, maker, every, smooth: person_is_known };
     let written = writer.write(&recording, folder.path(), reporter)?;
     let tracked = recording.len();
     recording.remove()?;
@@ -195,9 +201,7 @@ fn first_pass(
                 return Err(TrackerError::Cancelled { doing: "tracking".to_owned() });
             }
             for found in follower.block(&pictures)? {
-                let observation =
-                    found.map(|f| Observation { points_px: f.points_px, presence: f.presence, features: f.features });
-                recorder.push(observation.as_ref())?;
+                recorder.push(found.map(Observation::from).as_ref())?;
             }
             seen += frames.len();
             reporter.advance(frames.len() as u64);

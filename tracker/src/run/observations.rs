@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 
 use risorius_formats::FormatError;
 
+use super::landmarks::Found;
 use crate::error::Result;
+use crate::gaze::EYE_NUMBERS;
 
 /// What was seen of the face in one frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,7 +19,22 @@ pub struct Observation {
     pub presence: f32,
     /// Features of the AU regressor; empty where the landmark network has no mesh.
     pub features: Vec<f32>,
+    /// Numbers of the eyes, where the landmark network has a mesh.
+    pub eyes: Option<Box<[f32; EYE_NUMBERS]>>,
 }
+
+impl From<Found> for Observation {
+    fn from(found: Found) -> Self {
+        Self { points_px: found.points_px, presence: found.presence, features: found.features, eyes: found.eyes }
+    }
+}
+
+/// Numbers of an observation before its features: what there is, presence, points.
+const HEAD: usize = 2 + 136;
+/// In the first number: there is a face, it has features, it has eyes.
+const FACE: f32 = 1.0;
+const WITH_FEATURES: f32 = 1.0;
+const WITH_EYES: f32 = 2.0;
 
 /// A file of observations, one after the other, that is removed with its last handle.
 #[derive(Debug)]
@@ -37,19 +54,17 @@ impl Recorder {
 
     /// Appends the next frame's observation; `None` where there is no face. Features of another number count as none.
     pub fn push(&mut self, observation: Option<&Observation>) -> Result<()> {
-        let mut numbers: Vec<f32> = Vec::with_capacity(2 + 136 + self.features);
-        match observation {
-            Some(o) => {
-                let has_features = o.features.len() == self.features;
-                numbers.extend([if has_features { 2.0 } else { 1.0 }, o.presence]);
-                numbers.extend(o.points_px.iter().flatten());
-                if has_features {
-                    numbers.extend(&o.features);
-                }
-            }
-            None => numbers.push(0.0),
+        let mut numbers: Vec<f32> = Vec::with_capacity(HEAD + self.features + EYE_NUMBERS);
+        if let Some(o) = observation {
+            let features = o.features.len() == self.features;
+            let kind = FACE + f32::from(features) * WITH_FEATURES + f32::from(o.eyes.is_some()) * WITH_EYES;
+            numbers.extend([kind, o.presence]);
+            numbers.extend(o.points_px.iter().flatten());
+            numbers.extend(o.features.iter().filter(|_| features));
+            numbers.resize(HEAD + self.features, 0.0);
+            numbers.extend(o.eyes.iter().flat_map(|e| e.iter()));
         }
-        numbers.resize(2 + 136 + self.features, 0.0);
+        numbers.resize(HEAD + self.features + EYE_NUMBERS, 0.0);
         let bytes: Vec<u8> = numbers.iter().flat_map(|v| v.to_le_bytes()).collect();
         self.file.write_all(&bytes).map_err(|e| FormatError::io(&self.path, "write", &e))?;
         self.count += 1;
@@ -86,8 +101,8 @@ impl Recording {
     pub fn read(&self) -> Result<impl Iterator<Item = Result<Option<Observation>>>> {
         let file = File::open(&self.path).map_err(|e| FormatError::io(&self.path, "open", &e))?;
         let mut file = BufReader::with_capacity(1 << 18, file);
-        let mut bytes = vec![0u8; 4 * (2 + 136 + self.features)];
-        let path = self.path.clone();
+        let mut bytes = vec![0u8; 4 * (HEAD + self.features + EYE_NUMBERS)];
+        let (path, count) = (self.path.clone(), self.features);
         Ok((0..self.count).map(move |_| {
             file.read_exact(&mut bytes).map_err(|e| FormatError::io(&path, "read", &e))?;
             let mut numbers = bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
@@ -98,8 +113,13 @@ impl Recording {
             }
             let presence = next();
             let points_px = std::array::from_fn(|_| [next(), next()]);
-            let features = if kind > 1.0 { numbers.collect() } else { Vec::new() };
-            Ok(Some(Observation { points_px, presence, features }))
+            let mut features: Vec<f32> = (0..count).map(|_| next()).collect();
+            let eyes: [f32; EYE_NUMBERS] = std::array::from_fn(|_| next());
+            if kind != FACE + WITH_FEATURES && kind < FACE + WITH_FEATURES + WITH_EYES {
+                features.clear();
+            }
+            let eyes = (kind >= FACE + WITH_EYES).then(|| Box::new(eyes));
+            Ok(Some(Observation { points_px, presence, features, eyes }))
         }))
     }
 
@@ -137,8 +157,9 @@ mod tests {
             points_px: std::array::from_fn(|i| [k + i as f32, 2.0 * k]),
             presence: 0.9,
             features: (0..features).map(|i| k * i as f32).collect(),
+            eyes: (k > 1.0).then(|| Box::new([k; EYE_NUMBERS])),
         };
-        let all = [Some(observation(1.0, 5)), None, Some(observation(2.0, 0)), Some(observation(-3.0, 5)), None];
+        let all = [Some(observation(1.0, 5)), None, Some(observation(2.0, 0)), Some(observation(3.0, 5)), None];
         let mut recorder = Recorder::create(&dir.path().join("o"), 5).unwrap();
         for o in &all {
             recorder.push(o.as_ref()).unwrap();

@@ -1,7 +1,7 @@
 use super::*;
 
 fn observation(t: f32) -> Observation {
-    Observation { points_px: [[t * t, 3.0 * t]; 68], presence: 0.9, features: vec![t, 2.0] }
+    Observation { points_px: [[t * t, 3.0 * t]; 68], presence: 0.9, features: vec![t, 2.0], eyes: None }
 }
 
 fn interpolated(every: u32, frames: usize, lost: &[usize]) -> Vec<(Option<Observation>, bool)> {
@@ -41,4 +41,15 @@ fn a_face_seen_on_one_side_only_is_not_made_up() {
     let there: Vec<bool> = all.iter().map(|(o, _)| o.is_some()).collect();
     let expected: Vec<bool> = (0..17).map(|f| !(5..12).contains(&f)).collect();
     assert_eq!(there, expected);
+}
+
+#[test]
+fn scores_are_means_of_three_frames_where_all_three_are_known() {
+    let source = (0..5).map(|f| Ok((f != 3).then(|| observation((f * f) as f32))));
+    let mut smoothed = Smoothed::new(Interpolator::new(source, 1, 5), 1);
+    let found: Vec<Option<Observation>> = (0..5).map(|_| smoothed.next_frame().unwrap().0).collect();
+    let first = |o: &Option<Observation>| o.as_ref().map(|o| o.features[0]);
+    assert_eq!(found.iter().map(first).collect::<Vec<_>>(), [Some(0.5), Some(5.0 / 3.0), Some(2.5), None, Some(16.0)]);
+    assert_eq!(found[1].as_ref().unwrap().points_px, observation(1.0).points_px, "points stay as they are");
+    assert_eq!(found[1].as_ref().unwrap().features[1], 2.0);
 }
