@@ -133,6 +133,8 @@ pub fn run(
     let (pictures, database) = (work.path("images"), work.path("database.db"));
     if !work.is_done("features") {
         reporter.stage("features", Some(keys.len() as u64));
+        // COLMAP would give the pictures that a killed run had not come to a second camera.
+        work.remove_files("database.db")?;
         let mut args = words(&[
             ("--database_path", database.as_os_str()),
             ("--image_path", pictures.as_os_str()),

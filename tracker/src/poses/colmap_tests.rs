@@ -165,6 +165,24 @@ fn a_run_that_was_killed_goes_on_where_it_was_and_another_job_starts_afresh() {
 }
 
 #[test]
+fn features_of_a_run_that_was_killed_among_them_are_made_afresh() {
+    let stage = Stage::new();
+    // With features of the first run COLMAP takes a second camera for the rest.
+    let killed = "feature_extractor) : > \"$3\"; : > \"$3-journal\"; kill -9 $$;;";
+    let (result, _) = stage.run(killed, None, &Collected::default());
+    assert!(matches!(result.unwrap_err(), TrackerError::ColmapFailed { .. }));
+    let database = stage.dir.path().join("work/database.db");
+    assert!(database.is_file());
+    let afresh = "feature_extractor) if [ -e \"$3\" ] || [ -e \"$3-journal\" ]; then exit 5; fi;;\n";
+    let (result, log) = stage.run(
+        &mapper(10).replacen("feature_extractor)", &format!("{afresh}other)"), 1),
+        None,
+        &Collected::default(),
+    );
+    assert!(result.is_ok(), "{log}");
+}
+
+#[test]
 fn a_take_of_a_few_frames_is_refused() {
     let stage = Stage::new();
     let options = ColmapOptions { keyframes: Some(5), ..Stage::options("colmap".into(), None) };

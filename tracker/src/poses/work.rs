@@ -38,6 +38,15 @@ impl Work {
         self.dir.join(name)
     }
 
+    /// Removes a file with those beside it that begin with its name, such as a database with its journal.
+    pub(crate) fn remove_files(&self, name: &str) -> Result<()> {
+        let entries = fs::read_dir(&self.dir).map_err(|e| FormatError::io(&self.dir, "read", &e))?;
+        for entry in entries.flatten().filter(|e| e.file_name().to_string_lossy().starts_with(name)) {
+            fs::remove_file(entry.path()).map_err(|e| FormatError::io(entry.path(), "remove", &e))?;
+        }
+        Ok(())
+    }
+
     fn marker(&self, step: &str) -> PathBuf {
         self.dir.join(format!("{step}.done"))
     }
