@@ -1,11 +1,16 @@
-//! How fast and how accurate `tracker run` is on a capture with truth: over `--every`, threads and models.
+//! How fast and how accurate `tracker run` is on a capture with truth, over `--every`, threads and models; and how far it agrees
+//! with tables of OpenFace on real clips (`--real`).
 //!
 //! Each run is a process of the release build, as a user runs it; its CPU time and peak memory are the system's count.
 //! Times on a shared machine are noisy: CPU seconds are the sounder ones. Writes `track_bench.csv` and `track_bench.svg`.
 
+mod agreement;
+mod columns;
+mod gaze;
 mod metrics;
 mod npz;
 mod plot;
+mod real;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -18,22 +23,28 @@ use risorius_formats::openface::{self, ReadOptions};
 use risorius_formats::{ErrorKind, FormatError, Silent, atomic};
 use serde::Serialize;
 
+use agreement::Agreement;
+use columns::Columns;
 use metrics::{Errors, Truth};
+use real::Clip;
 
-/// Speed and accuracy of `tracker run` on a capture with truth
+/// Speed and accuracy of `tracker run` on a capture with truth and on real clips
 #[derive(Debug, Parser)]
 #[command(
     name = "bench-track",
     version,
     about,
-    after_help = "Example:\n  bench-track --capture captures/ada --work work/bench --every 1,2,4,8 --threads 1,2"
+    after_help = "Example:\n  bench-track --capture captures/ada --real clips --work work/bench --every 1,2,4,8 --threads 1,2"
 )]
 struct Cli {
     #[command(flatten)]
     common: CommonArgs,
     /// A capture: video.mp4, and truth.npz with lm2d [frames, 68, 2] px, au [frames, 17] 0–5, head_R [frames, 3, 3]
+    #[arg(long, value_name = "DIR", required_unless_present = "real")]
+    capture: Option<PathBuf>,
+    /// A folder of real clips with OpenFace's tables: clip.mp4 and clip.csv
     #[arg(long, value_name = "DIR")]
-    capture: PathBuf,
+    real: Option<PathBuf>,
     /// The truth, if it is not the capture's truth.npz: .npz, or an OpenFace table without noise (.csv)
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
@@ -74,6 +85,17 @@ struct Row {
     fps_per_core: f64,
     peak_mib: f64,
     errors: Errors,
+    /// As on real clips.
+    agreement: Agreement,
+    /// Mean angle between gaze and truth with open eyes, degrees.
+    gaze_deg: Option<f64>,
+}
+
+/// All that was measured.
+#[derive(Debug, Serialize)]
+struct Report {
+    rows: Vec<Row>,
+    real: Vec<Clip>,
 }
 
 fn main() -> ExitCode {
@@ -81,26 +103,55 @@ fn main() -> ExitCode {
 }
 
 fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
-    let truth_path = cli.truth.clone().unwrap_or_else(|| cli.capture.join("truth.npz"));
-    let truth = read_truth(&truth_path)?;
     std::fs::create_dir_all(&cli.work).map_err(|e| FormatError::io(&cli.work, "create", &e))?;
-    let take = cli.work.join("take");
-    let text = |p: &Path| p.to_string_lossy().into_owned();
-    if !take.join("take.toml").is_file() {
-        child("capture", &["record", "--input", &text(&cli.capture.join("video.mp4")), "--out", &text(&take)], cli)?;
-    }
-    let mut rows: Vec<Row> = Vec::new();
     let models: Vec<Option<&PathBuf>> =
         if cli.models.is_empty() { vec![None] } else { cli.models.iter().map(Some).collect() };
+    let rows = match &cli.capture {
+        Some(capture) => rendered(capture, &models, cli, console)?,
+        None => Vec::new(),
+    };
+    let mut clips = Vec::new();
+    if let Some(folder) = &cli.real {
+        for (video, csv) in real::pairs(folder)? {
+            for model in &models {
+                clips.push(real_clip(&video, &csv, *model, cli, console)?);
+            }
+        }
+    }
+    if !rows.is_empty() {
+        atomic::write_file(cli.work.join("track_bench.csv"), csv(&rows).as_bytes())?;
+        plot::write(&cli.work.join("track_bench.svg"), &rows)?;
+    }
+    let mut text = String::new();
+    if !clips.is_empty() {
+        text.push_str(&real::table(&clips));
+        text.push_str("\n\n");
+    }
+    if !rows.is_empty() {
+        text.push_str(&table(&rows));
+    }
+    console.finish(&Report { rows, real: clips }, &text);
+    Ok(())
+}
+
+fn text(path: &Path) -> String {
+    path.to_string_lossy().into_owned()
+}
+
+/// The runs over a capture with truth.
+fn rendered(capture: &Path, models: &[Option<&PathBuf>], cli: &Cli, console: &Console) -> Result<Vec<Row>, Failure> {
+    let truth = read_truth(&cli.truth.clone().unwrap_or_else(|| capture.join("truth.npz")))?;
+    let take = record(&capture.join("video.mp4"), "take", cli)?;
+    let mut rows = Vec::new();
+    let reference: Vec<Option<[f64; 17]>> = truth.intensities.iter().map(|v| Some(*v)).collect();
+    let blinks: Vec<f64> = truth.intensities.iter().map(|v| v[16]).collect();
     for folder in models {
         for (&every, &threads) in cli.every.iter().flat_map(|e| cli.threads.iter().map(move |t| (e, t))) {
-            let mut args =
-                vec!["run".to_owned(), text(&take), format!("--every={every}"), format!("--threads={threads}")];
-            args.extend(folder.map(|f| format!("--models={}", text(f))));
-            args.extend(cli.options.iter().cloned());
-            console.say(&format!("tracker {}", args.join(" ")));
-            let (wall_secs, cpu_secs, peak_mib) = child("tracker", &args, cli)?;
-            let track = openface::read(take.join("track/openface.csv"), &ReadOptions::default(), &Silent)?;
+            let mut options = vec![format!("--every={every}"), format!("--threads={threads}")];
+            options.extend(cli.options.iter().cloned());
+            let (wall_secs, cpu_secs, peak_mib) = track(&take, *folder, &options, cli, console)?;
+            let path = take.join("track/openface.csv");
+            let track = openface::read(&path, &ReadOptions::default(), &Silent)?;
             let frames = truth.landmarks_px.len() as f64;
             rows.push(Row {
                 models: folder.map_or_else(|| "default".to_owned(), |f| text(f)),
@@ -112,14 +163,57 @@ fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
                 fps_per_core: frames / cpu_secs,
                 peak_mib,
                 errors: metrics::compare(&track, &truth),
+                agreement: agreement::compare(&track, &reference),
+                gaze_deg: gaze::error_deg(
+                    &gaze::directions(&Columns::read(&path)?),
+                    &truth.head_rotations,
+                    &truth.gaze_deg,
+                    &blinks,
+                ),
             });
         }
     }
-    atomic::write_file(cli.work.join("track_bench.csv"), csv(&rows).as_bytes())?;
-    let plot = cli.work.join("track_bench.svg");
-    plot::write(&plot, &rows)?;
-    console.finish(&rows, &table(&rows));
-    Ok(())
+    Ok(rows)
+}
+
+fn real_clip(
+    video: &Path,
+    csv: &Path,
+    models: Option<&PathBuf>,
+    cli: &Cli,
+    console: &Console,
+) -> Result<Clip, Failure> {
+    let mut name = video.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let take = record(video, &format!("take_{name}"), cli)?;
+    track(&take, models, &cli.options, cli, console)?;
+    if let Some(models) = models {
+        let _ = write!(name, ", {}", models.display());
+    }
+    real::compare(name, &take.join("track/openface.csv"), csv)
+}
+
+/// The take of a video, recorded if it is not there.
+fn record(video: &Path, name: &str, cli: &Cli) -> Result<PathBuf, Failure> {
+    let take = cli.work.join(name);
+    if !take.join("take.toml").is_file() {
+        child("capture", &["record", "--input", &text(video), "--out", &text(&take)], cli)?;
+    }
+    Ok(take)
+}
+
+/// Tracks a take; gives wall seconds, CPU seconds and peak MiB.
+fn track(
+    take: &Path,
+    models: Option<&PathBuf>,
+    options: &[String],
+    cli: &Cli,
+    console: &Console,
+) -> Result<(f64, f64, f64), Failure> {
+    let mut args = vec!["run".to_owned(), text(take)];
+    args.extend(options.iter().cloned());
+    args.extend(models.map(|f| format!("--models={}", text(f))));
+    console.say(&format!("tracker {}", args.join(" ")));
+    child("tracker", &args, cli)
 }
 
 fn read_truth(path: &Path) -> Result<Truth, Failure> {
@@ -158,6 +252,7 @@ fn read_truth(path: &Path) -> Result<Truth, Failure> {
             .chunks_exact(9)
             .map(|v| DMat3::from_cols_array(&std::array::from_fn(|i| v[i])).transpose())
             .collect(),
+        gaze_deg: get("gaze_deg", &[2]).map(|a| a.values.as_chunks().0.to_vec()).unwrap_or_default(),
     })
 }
 
@@ -207,13 +302,14 @@ fn csv(rows: &[Row]) -> String {
 }
 
 fn table(rows: &[Row]) -> String {
-    let mut text = "| models | every | threads | wall s | CPU s | frames/s | per core | peak MiB | inner 51 % | without offset % | pose ° | ICC(3,1) mean | min | F1 |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|---|".to_owned();
+    let mut text = "| models | every | threads | wall s | CPU s | frames/s | per core | peak MiB | inner 51 % | without offset % | pose ° | ICC(3,1) mean | min | F1 | r, AUs > 0.5 | ICC | ≥ 4.9 % | jitter at rest | cross-talk | gaze ° |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|".to_owned();
     for r in rows {
-        let e = &r.errors;
+        let (e, a) = (&r.errors, &r.agreement);
+        let gaze = r.gaze_deg.map_or_else(|| "–".to_owned(), |d| format!("{d:.2}"));
         let pose = e.head_rotation_deg.map_or_else(|| "–".to_owned(), |d| format!("{d:.2}"));
         let _ = write!(
             text,
-            "\n| {} | {} | {} | {:.1} | {:.1} | {:.0} | {:.0} | {:.0} | {:.2} | {:.2} | {pose} | {:.3} | {:.2} | {:.3} |",
+            "\n| {} | {} | {} | {:.1} | {:.1} | {:.0} | {:.0} | {:.0} | {:.2} | {:.2} | {pose} | {:.3} | {:.2} | {:.3} | {:.3} | {:.3} | {:.1} | {:.3} | {:.3} | {gaze} |",
             r.models,
             r.every,
             r.threads,
@@ -226,7 +322,12 @@ fn table(rows: &[Row]) -> String {
             e.landmarks_without_offset_percent,
             e.icc31_mean,
             e.icc31_min,
-            e.f1_mean
+            e.f1_mean,
+            a.moving[0],
+            a.moving[1],
+            100.0 * a.saturated_share,
+            a.jitter_at_rest,
+            a.cross_talk
         );
     }
     if let Some(first) = rows.first() {

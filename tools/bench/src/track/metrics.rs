@@ -15,6 +15,8 @@ pub(crate) struct Truth {
     pub(crate) intensities: Vec<[f64; 17]>,
     /// `camera_from_head` rotation in OpenFace's axes; empty where it is not known.
     pub(crate) head_rotations: Vec<DMat3>,
+    /// Yaw to the image's right and pitch up against the head, degrees; empty where they are not known.
+    pub(crate) gaze_deg: Vec<[f64; 2]>,
 }
 
 /// The errors of one track.
@@ -107,7 +109,7 @@ fn landmarks(rows: &[(usize, &TrackRow)], truth: &Truth) -> (f64, f64) {
 }
 
 /// ICC(3,1): two fixed raters, single ratings, consistency; 0 where nothing varies.
-fn icc31(pairs: &[(f64, f64)]) -> f64 {
+pub(crate) fn icc31(pairs: &[(f64, f64)]) -> f64 {
     let ratings: Vec<Vec<f64>> = pairs.iter().map(|p| vec![p.0, p.1]).collect();
     icc(&ratings).map_or(0.0, |i| i.icc_3_1)
 }
