@@ -50,7 +50,7 @@ const PACKAGES: [&str; 15] = [
     "ffmpeg",
     "valgrind",
 ];
-const BINARIES: [&str; 4] = ["capture", "tracker", "dataset", "trainer"];
+const BINARIES: [&str; 5] = ["capture", "tracker", "dataset", "trainer", "risorius"];
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
@@ -123,7 +123,7 @@ fn is_command(text: &str) -> bool {
     ours || starts.iter().any(|s| text.starts_with(s) && text.len() > s.len())
 }
 
-/// The help of each command of the four programs, by program and command.
+/// The help of each command of the programs, by program and command.
 fn helps() -> BTreeMap<(String, String), String> {
     let help = |name: &str, args: &[&str]| {
         let output = Command::new(binary(name)).args(args).arg("--help").output();
@@ -165,6 +165,10 @@ fn fault(command: &str, krate: &str, helps: &BTreeMap<(String, String), String>)
     let first = words.next()?;
     if let Some(name) = BINARIES.iter().find(|b| **b == first) {
         let sub = words.next().filter(|w| !w.starts_with('-')).unwrap_or_default();
+        // `risorius tracker run` is `tracker run`.
+        if first == "risorius" && BINARIES.contains(&sub) {
+            return fault(command.trim_start_matches("risorius").trim_start(), krate, helps);
+        }
         let Some(help) = helps.get(&((*name).to_owned(), sub.to_owned())) else {
             return Some(format!("`{name}` has no command `{sub}`"));
         };
@@ -194,7 +198,9 @@ fn every_command_in_a_message_can_be_typed() {
     let helps = helps();
     let (mut sources, mut seen) = (Vec::new(), 0);
     // The programs in `tools/bench` and `tools/synth` are for those who work on the project.
-    for krate in ["formats", "capture", "tracker", "dataset", "trainer", "tools/console", "tools/video"] {
+    for krate in
+        ["formats", "capture", "tracker", "dataset", "trainer", "tools/console", "tools/video", "tools/risorius"]
+    {
         files(&root().join(krate), &[".rs"], &mut sources);
     }
     let mut faults = BTreeSet::new();

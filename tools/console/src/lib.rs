@@ -18,7 +18,7 @@ mod stage;
 
 pub use args::{Common, CommonArgs};
 pub use failure::Failure;
-pub use printer::Console;
-pub use run::run;
+pub use printer::{Console, Listener};
+pub use run::{run, run_as};
 pub use settings::{SETTINGS_FILE, settings, settings_from};
 pub use stage::{AgainArgs, Inputs, Running, Stage, hold};

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use risorius_formats::{Reporter, Warning};
 use serde::Serialize;
@@ -17,9 +17,16 @@ const SHOWN_PER_KIND: u64 = 3;
 /// Set by the first Ctrl-C.
 pub(crate) static CANCELLED: AtomicBool = AtomicBool::new(false);
 
+/// Hears what a command says, in place of the terminal: for a program that runs commands as stages of its own work.
+pub trait Listener: Reporter + Send + std::fmt::Debug {
+    /// The result of the command: its document and its text for people.
+    fn result(&self, document: serde_json::Value, text: &str);
+}
+
 /// The printer: data to stdout, talk to stderr; the [`Reporter`] of the binaries.
 #[derive(Debug)]
 pub struct Console {
+    listener: Option<Arc<dyn Listener>>,
     json: bool,
     quiet: u8,
     verbose: u8,
@@ -37,6 +44,7 @@ impl Console {
         let terminal = io::stderr().is_terminal();
         let hidden = args.no_progress || args.quiet > 0;
         Self {
+            listener: None,
             json: args.json,
             quiet: args.quiet,
             verbose: args.verbose,
@@ -46,6 +54,12 @@ impl Console {
             stdout_failure: Mutex::default(),
             finished: AtomicBool::new(false),
         }
+    }
+
+    /// A printer that prints nothing: all that is said goes to `listener`.
+    pub fn heard_by(listener: Arc<dyn Listener>) -> Self {
+        let silent = CommonArgs { quiet: 2, no_progress: true, ..CommonArgs::default() };
+        Self { listener: Some(listener), ..Self::new(&silent) }
     }
 
     /// Whether stdout has to be one JSON document.
@@ -58,6 +72,10 @@ impl Console {
     /// A command may still fail after it, as one does that lists problems: then this is the document, and none is added.
     pub fn finish<T: Serialize>(&self, document: &T, human: &str) {
         self.progress.end();
+        if let Some(listener) = &self.listener {
+            let document = serde_json::to_value(document).unwrap_or_default();
+            return listener.result(document, human.trim_end_matches('\n'));
+        }
         let text = if self.json {
             match serde_json::to_string_pretty(document) {
                 Ok(text) => text,
@@ -74,7 +92,9 @@ impl Console {
 
     /// A line for people on stderr; silent with `-q`.
     pub fn say(&self, text: &str) {
-        if self.quiet == 0 {
+        if let Some(listener) = &self.listener {
+            listener.note(text);
+        } else if self.quiet == 0 {
             self.progress.print(text);
         }
     }
@@ -138,20 +158,31 @@ impl Console {
 
 impl Reporter for Console {
     fn stage(&self, name: &str, total: Option<u64>) {
-        self.progress.begin(name, total);
+        match &self.listener {
+            Some(listener) => listener.stage(name, total),
+            None => self.progress.begin(name, total),
+        }
     }
 
     fn advance(&self, steps: u64) {
-        self.progress.advance(steps);
+        match &self.listener {
+            Some(listener) => listener.advance(steps),
+            None => self.progress.advance(steps),
+        }
     }
 
     fn note(&self, text: &str) {
-        if self.quiet == 0 {
+        if let Some(listener) = &self.listener {
+            listener.note(text);
+        } else if self.quiet == 0 {
             self.progress.note(text, self.verbose > 0);
         }
     }
 
     fn warn(&self, warning: Warning) {
+        if let Some(listener) = &self.listener {
+            return listener.warn(warning);
+        }
         let mut warnings = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
         let count = warnings.entry(warning.kind).or_insert(0);
         *count += 1;

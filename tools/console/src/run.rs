@@ -13,9 +13,19 @@ use crate::{Common, Console, Failure};
 /// Wrong usage exits with 2. The first Ctrl-C makes `Reporter::cancelled` true, the second ends the process. A panic is
 /// reported as the bug it is, in one line, and exits with 2.
 pub fn run<C: clap::Parser + Common>(body: impl FnOnce(&C, &Console) -> Result<(), Failure>) -> ExitCode {
-    let program = C::command().get_name().to_owned();
+    run_as(C::command(), body)
+}
+
+/// As [`run`], with the command line of `C` in other words, such as other examples.
+pub fn run_as<C: clap::Parser + Common>(
+    command: clap::Command,
+    body: impl FnOnce(&C, &Console) -> Result<(), Failure>,
+) -> ExitCode {
+    let program = command.get_name().to_owned();
     install_panic_hook(program.clone());
-    let args = match C::try_parse() {
+    let mut known = command.clone();
+    let parsed = command.try_get_matches().and_then(|m| C::from_arg_matches(&m).map_err(|e| e.format(&mut known)));
+    let args = match parsed {
         Ok(args) => args,
         Err(e) => return report_usage(&e),
     };
