@@ -4,13 +4,15 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
+use risorius_formats::au::OPENFACE_INTENSITIES;
 use risorius_formats::pose_report::PoseReport;
 use risorius_formats::similarity::umeyama;
-use risorius_formats::{Camera, Isometry, Reporter, Take};
+use risorius_formats::{ActionUnit, Camera, Isometry, Reporter, Take};
 use serde::Serialize;
 
 use crate::error::{Result, TrackerError};
 use crate::import::MIN_CONFIDENCE;
+use crate::parquet;
 use crate::poses::model::{self, TakeModel};
 use crate::poses::{Numbering, read_track};
 use crate::quality::{self, TrackQuality};
@@ -92,7 +94,8 @@ pub fn check(
 ) -> Result<CheckReport> {
     let take = Take::open(take_dir)?;
     let rows = read_track(&take)?;
-    let track = quality::measure(&rows, take.frames.len(), MIN_CONFIDENCE);
+    let mut track = quality::measure(&rows, take.frames.len(), MIN_CONFIDENCE);
+    track.add_confidences(&mean_confidences(&take)?);
     let path = take.pose_report_path();
     let poses = if path.is_file() || reference.is_some() { Some(PoseReport::read(&path)?) } else { None };
     let reference = match (reference, &poses) {
@@ -108,6 +111,17 @@ pub fn check(
         _ => None,
     };
     Ok(CheckReport { track, poses, reference })
+}
+
+/// The mean confidence of each AU over the frames that have one; none where the AUs are not the tracker's own.
+fn mean_confidences(take: &Take) -> Result<Vec<(ActionUnit, f32)>> {
+    let names = OPENFACE_INTENSITIES.map(|unit| format!("{unit}_confidence"));
+    let columns = parquet::read_floats(&parquet::path(take), &names)?;
+    let mean = |(unit, name): (&ActionUnit, &String)| {
+        let known: Vec<f64> = columns.get(name)?.iter().flatten().map(|c| f64::from(*c)).collect();
+        (!known.is_empty()).then(|| (*unit, (known.iter().sum::<f64>() / known.len() as f64) as f32))
+    };
+    Ok(OPENFACE_INTENSITIES.iter().zip(&names).filter_map(mean).collect())
 }
 
 /// Errors of `own` against `reference` after bringing the camera centres of the placed frames together; `None` with fewer

@@ -1,12 +1,13 @@
 //! `track/track.parquet`: one row per frame, nulls where nothing is known.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use polars::io::parquet::write::BatchedWriter;
-use polars::prelude::{Column, DataFrame, ParquetCompression, ParquetWriter};
+use polars::prelude::{Column, DataFrame, ParquetCompression, ParquetReader, ParquetWriter, SerReader};
 use risorius_formats::atomic::AtomicFile;
 use risorius_formats::au::OPENFACE_INTENSITIES;
-use risorius_formats::{ActionUnit, FrameRecord, Track, TrackRow};
+use risorius_formats::{ActionUnit, FormatError, FrameRecord, Take, Track, TrackRow};
 
 use crate::aus::UNITS;
 use crate::error::{Result, TrackerError};
@@ -21,6 +22,11 @@ pub struct Extra {
     pub au_confidences: Option<[f32; UNITS]>,
     /// Gaze and eye landmarks.
     pub gaze: Option<Gaze>,
+}
+
+/// Where the table of a take lies.
+pub fn path(take: &Take) -> PathBuf {
+    take.dir.join("track").join("track.parquet")
 }
 
 /// Rows of a row group: what a writer holds in memory.
@@ -73,8 +79,7 @@ impl Writer {
         let table = table(&self.units, &self.presence_units, rows, frames, extras).map_err(encode)?;
         if self.encoder.is_none() {
             let staging = self.file.staging_path();
-            let out =
-                std::fs::File::create(staging).map_err(|e| risorius_formats::FormatError::io(path, "write", &e))?;
+            let out = std::fs::File::create(staging).map_err(|e| FormatError::io(path, "write", &e))?;
             let writer = ParquetWriter::new(out).with_compression(ParquetCompression::Snappy).set_parallel(false);
             self.encoder = Some(writer.batched(table.schema()).map_err(encode)?);
         }
@@ -94,6 +99,29 @@ impl Writer {
         }
         Ok(self.file.commit()?)
     }
+}
+
+/// Reads those of the 32-bit columns `names` that a table has, one value per frame; none of a file that does not exist.
+pub fn read_floats(path: &Path, names: &[String]) -> Result<BTreeMap<String, Vec<Option<f32>>>> {
+    if !path.is_file() {
+        return Ok(BTreeMap::new());
+    }
+    let damaged = |e: polars::error::PolarsError| {
+        let hint = "track the take again: `tracker run` or `tracker import`";
+        FormatError::syntax(format!("is not a table of frames: {e}")).in_file(path).with_hint(hint)
+    };
+    let open = || std::fs::File::open(path).map_err(|e| FormatError::io(path, "open", &e));
+    let schema = ParquetReader::new(open()?).schema().map_err(damaged)?;
+    let there: Vec<String> = names.iter().filter(|n| schema.contains(n.as_str())).cloned().collect();
+    if there.is_empty() {
+        return Ok(BTreeMap::new());
+    }
+    let table = ParquetReader::new(open()?).with_columns(Some(there.clone())).finish().map_err(damaged)?;
+    let column = |name: String| {
+        let values = table.column(&name).and_then(|c| c.f32().cloned()).map_err(damaged)?;
+        Ok((name, values.iter().collect()))
+    };
+    there.into_iter().map(column).collect()
 }
 
 fn table(
@@ -173,8 +201,7 @@ fn gaze_columns(good: &[Option<&TrackRow>], extras: &[Extra]) -> Vec<Column> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use polars::prelude::{ParquetReader, SerReader};
-    use risorius_formats::{ActionUnit, FrameIndex};
+    use risorius_formats::FrameIndex;
 
     #[test]
     fn missing_and_lost_frames_come_back_as_nulls() {
@@ -208,5 +235,11 @@ mod tests {
         assert_eq!(f32s("confidence"), [Some(0.5), None, Some(0.5)]);
         assert_eq!(read.column("x_67").unwrap().null_count(), 3);
         assert_eq!(read.column("timestamp_nanos").unwrap().i64().unwrap().get(2), Some(14));
+        let names = ["AU12_r", "AU99_r"].map(str::to_owned);
+        assert_eq!(read_floats(&path, &names).unwrap(), [("AU12_r".to_owned(), vec![Some(1.5), None, None])].into());
+        assert!(read_floats(&dir.path().join("none.parquet"), &names).unwrap().is_empty());
+        std::fs::write(&path, "no table").unwrap();
+        let said = read_floats(&path, &names).unwrap_err().to_string();
+        assert!(said.contains("track.parquet") && said.contains("is not a table"), "{said}");
     }
 }

@@ -1,12 +1,17 @@
 //! How good a track is: lost runs, ranges of AUs, noise of landmarks.
 
+use risorius_formats::au::OPENFACE_INTENSITIES;
 use risorius_formats::{ActionUnit, Track, TrackRow};
 use serde::Serialize;
 
+use crate::aus::UNITS;
 use crate::poses::triangulate::median;
+use crate::sureness::Sureness;
 
 /// An AU that moves less than this over a whole take says nothing, 0–5 scale.
 pub const STILL_AU_RANGE: f32 = 0.1;
+/// From this intensity on an AU stands at the end of its scale.
+pub const SATURATED_FROM: f32 = 4.9;
 
 /// What one AU did in a take.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -17,8 +22,16 @@ pub struct UnitRange {
     pub min: Option<f32>,
     /// Median intensity.
     pub median: Option<f32>,
+    /// 99th percentile of the intensity.
+    pub p99: Option<f32>,
     /// Largest intensity.
     pub max: Option<f32>,
+    /// Share of the valid frames with an intensity of [`SATURATED_FROM`] or more, 0–1.
+    pub saturated_share: f32,
+    /// Mean confidence over the valid frames, 0–1; `None` where the AUs do not come from the tracker's own readout.
+    pub confidence: Option<f32>,
+    /// The confidence in words.
+    pub sureness: Option<Sureness>,
     /// Whether it moves at all (by [`STILL_AU_RANGE`] or more).
     pub moves: bool,
 }
@@ -36,6 +49,8 @@ pub struct TrackQuality {
     pub lost_runs: Vec<[u32; 2]>,
     /// Range of each AU.
     pub units: Vec<UnitRange>,
+    /// Share of the valid frames in which any AU stands at [`SATURATED_FROM`] or more, 0–1.
+    pub saturated_share: f32,
     /// AUs that never move.
     pub still_units: Vec<ActionUnit>,
     /// Noise of a landmark coordinate (standard deviation), pixels: from second differences over neighbouring frames, in
@@ -60,6 +75,8 @@ pub fn measure(track: &Track, frames: usize, min_confidence: f32) -> TrackQualit
     let valid_frames = by_frame.iter().flatten().count();
     let units: Vec<UnitRange> =
         track.units.iter().enumerate().map(|(k, &unit)| unit_range(unit, k, &by_frame)).collect();
+    let is_saturated = |row: &TrackRow| row.intensities.iter().flatten().any(|v| *v >= SATURATED_FROM);
+    let saturated = by_frame.iter().flatten().filter(|r| is_saturated(r)).count();
     let still_units = units.iter().filter(|u| !u.moves).map(|u| u.unit).collect();
     let mut eye: Vec<f64> = by_frame
         .iter()
@@ -74,10 +91,21 @@ pub fn measure(track: &Track, frames: usize, min_confidence: f32) -> TrackQualit
         lost_frames: frames - valid_frames,
         lost_runs: runs(by_frame.iter().enumerate().filter(|(_, r)| r.is_none()).map(|(i, _)| i as u32)),
         units,
+        saturated_share: saturated as f32 / valid_frames.max(1) as f32,
         still_units,
         landmark_jitter_px: jitter(&by_frame, 136, &landmark),
         au_jitter: jitter(&by_frame, track.units.len(), &intensity),
         outer_eye_distance_px: median(&mut eye),
+    }
+}
+
+impl TrackQuality {
+    /// Adds the mean confidences of AUs; those that are not in `confidences` stay unknown.
+    pub fn add_confidences(&mut self, confidences: &[(ActionUnit, f32)]) {
+        for unit in &mut self.units {
+            unit.confidence = confidences.iter().find(|(u, _)| *u == unit.unit).map(|(_, c)| *c);
+            unit.sureness = unit.confidence.map(Sureness::of);
+        }
     }
 }
 
@@ -86,16 +114,25 @@ pub fn measure(track: &Track, frames: usize, min_confidence: f32) -> TrackQualit
 pub struct QualityMeter {
     slim: Track,
     frames: usize,
+    /// Sums of the confidences, and of how many rows.
+    confidences: ([f64; UNITS], usize),
 }
 
 impl QualityMeter {
     /// A meter for a take of `frames` frames.
     pub fn new(units: &[ActionUnit], frames: usize) -> Self {
-        Self { slim: Track { units: units.to_vec(), ..Track::default() }, frames }
+        let slim = Track { units: units.to_vec(), ..Track::default() };
+        Self { slim, frames, confidences: ([0.0; UNITS], 0) }
     }
 
     /// Takes the next row: its AUs, and of the landmarks, which are a hundred times as many, a run of 8 frames in 64.
-    pub fn push(&mut self, row: &TrackRow) {
+    /// `confidences` are those of [`OPENFACE_INTENSITIES`].
+    pub fn push(&mut self, row: &TrackRow, confidences: Option<&[f32; UNITS]>) {
+        if let Some(confidences) = confidences.filter(|_| row.success) {
+            let (sums, rows) = &mut self.confidences;
+            sums.iter_mut().zip(confidences).for_each(|(sum, c)| *sum += f64::from(*c));
+            *rows += 1;
+        }
         let landmarks = row.landmarks.clone().filter(|_| row.frame.0 % 64 < 8);
         self.slim.rows.push(TrackRow {
             intensities: row.intensities.clone(),
@@ -108,7 +145,13 @@ impl QualityMeter {
 
     /// The quality of what passed by.
     pub fn finish(self) -> TrackQuality {
-        measure(&self.slim, self.frames, 0.0)
+        let mut quality = measure(&self.slim, self.frames, 0.0);
+        let (sums, rows) = self.confidences;
+        if rows > 0 {
+            let means = OPENFACE_INTENSITIES.iter().zip(sums).map(|(u, sum)| (*u, (sum / rows as f64) as f32));
+            quality.add_confidences(&means.collect::<Vec<_>>());
+        }
+        quality
     }
 }
 
@@ -117,7 +160,12 @@ fn unit_range(unit: ActionUnit, k: usize, by_frame: &[Option<&TrackRow>]) -> Uni
     let min = values.iter().copied().reduce(f64::min).map(|v| v as f32);
     let max = values.iter().copied().reduce(f64::max).map(|v| v as f32);
     let moves = min.zip(max).is_some_and(|(lo, hi)| hi - lo >= STILL_AU_RANGE);
-    UnitRange { unit, min, median: median(&mut values).map(|v| v as f32), max, moves }
+    let saturated = values.iter().filter(|v| **v >= f64::from(SATURATED_FROM)).count();
+    let at = values.len() * 99 / 100;
+    let p99 = (at < values.len()).then(|| *values.select_nth_unstable_by(at, f64::total_cmp).1 as f32);
+    let saturated_share = saturated as f32 / values.len().max(1) as f32;
+    let median = median(&mut values).map(|v| v as f32);
+    UnitRange { unit, min, median, p99, max, saturated_share, confidence: None, sureness: None, moves }
 }
 
 /// White noise of deviation σ has second differences of deviation σ√6; 0.6745 σ is the median of its absolute value.
@@ -201,6 +249,30 @@ mod tests {
         assert!((jitter - 0.6).abs() < 0.06, "{jitter}");
         assert_eq!((quality.valid_frames, quality.lost_runs.len()), (180, 20));
         assert_eq!(quality.still_units, [ActionUnit(6)]);
+    }
+
+    #[test]
+    fn percentile_saturation_and_confidence_of_an_au() {
+        let mut track = track(|_, _| 0.0);
+        // AU12 stands at the top in 20 of the 180 valid frames.
+        for row in track.rows.iter_mut().filter(|r| r.success).take(20) {
+            row.intensities[1] = Some(5.0);
+        }
+        let mut meter = QualityMeter::new(&track.units, 200);
+        for row in &track.rows {
+            let confidences =
+                std::array::from_fn(|k| if OPENFACE_INTENSITIES[k] == ActionUnit(12) { 0.75 } else { 0.25 });
+            meter.push(row, Some(&confidences));
+        }
+        let quality = meter.finish();
+        let [au06, au12] = &quality.units[..] else { panic!("two AUs") };
+        assert!(
+            (au12.saturated_share - 20.0 / 180.0).abs() < 1e-6 && (quality.saturated_share - 20.0 / 180.0).abs() < 1e-6
+        );
+        assert_eq!((au12.p99, au06.p99, au06.saturated_share), (Some(5.0), Some(1.0), 0.0));
+        assert_eq!((au12.confidence, au12.sureness), (Some(0.75), Some(Sureness::Sure)));
+        assert_eq!((au06.confidence, au06.sureness), (Some(0.25), Some(Sureness::NotSure)));
+        assert_eq!(measure(&track, 200, 0.8).units[0].sureness, None);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use risorius_console::{Console, Failure};
 
 use crate::check::{self, PoseErrors, Reference};
 use crate::poses::Numbering;
-use crate::preview;
+use crate::{preview, report};
 
 /// How good the track and the poses are
 ///
@@ -18,6 +18,7 @@ use crate::preview;
   tracker check takes/ada
   tracker check takes/ada --reference truth/sparse --json
   tracker check takes/ada --pictures out --count 12
+  tracker check takes/ada --report
   tracker check takes/ada --overlay ada_tracked.mp4")]
 pub(super) struct CheckArgs {
     /// The take
@@ -34,6 +35,9 @@ pub(super) struct CheckArgs {
     /// Draw landmarks, head axes and AUs on the whole video, into this file
     #[arg(long, value_name = "FILE.mp4")]
     overlay: Option<PathBuf>,
+    /// Write a page with curves, peaks, confidence and gaze [default: TAKE/track/report.html]
+    #[arg(long, value_name = "FILE.html", num_args = 0..=1)]
+    report: Option<Option<PathBuf>>,
     /// How many pictures
     #[arg(long, value_name = "N", default_value_t = 12, requires = "pictures")]
     count: usize,
@@ -42,21 +46,25 @@ pub(super) struct CheckArgs {
 pub(super) fn run(args: &CheckArgs, console: &Console) -> Result<(), Failure> {
     let numbering = Numbering { first: args.reference_first, ..Numbering::default() };
     let reference = args.reference.as_ref().map(|dir| Reference { dir: dir.clone(), numbering });
-    let report = check::check(&args.take, reference.as_ref(), console)?;
+    let checked = check::check(&args.take, reference.as_ref(), console)?;
     if let Some(out) = &args.pictures {
         preview::draw(&args.take, out, args.count, console)?;
     }
     if let Some(out) = &args.overlay {
         crate::overlay::draw(&args.take, out, console)?;
     }
-    let mut text = super::quality_in_words(&report.track);
-    match &report.poses {
+    let page = args.report.as_ref().map(|path| path.clone().unwrap_or_else(|| report::default_path(&args.take)));
+    if let Some(out) = &page {
+        report::write(&args.take, &checked, out, console)?;
+    }
+    let mut text = super::quality_in_words(&checked.track);
+    match &checked.poses {
         Some(poses) => {
             let _ = write!(text, "\n\n{}", super::poses::in_words(poses));
         }
         None => text += "\n\nno poses yet: `tracker poses TAKE`",
     }
-    if let Some(r) = &report.reference {
+    if let Some(r) = &checked.reference {
         let _ = write!(text, "\n\nagainst the reference (scale {:.4}, cameras spread {:.3})", r.scale, r.camera_spread);
         for (name, errors) in [("all", Some(r.all)), ("placed", r.registered), ("interpolated", r.interpolated)] {
             if let Some(e) = errors {
@@ -64,7 +72,10 @@ pub(super) fn run(args: &CheckArgs, console: &Console) -> Result<(), Failure> {
             }
         }
     }
-    console.finish(&report, &text);
+    if let Some(out) = &page {
+        let _ = write!(text, "\nwritten to   {}", out.display());
+    }
+    console.finish(&checked, &text);
     Ok(())
 }
 

@@ -111,10 +111,31 @@ fn quality_in_words(q: &crate::quality::TrackQuality) -> String {
         let _ = write!(text, "\nAUs          noise {jitter:.2}");
     }
     for u in &q.units {
-        if let (Some(min), Some(median), Some(max)) = (u.min, u.median, u.max) {
+        if let (Some(min), Some(median), Some(p99), Some(max)) = (u.min, u.median, u.p99, u.max) {
             let still = if u.moves { "" } else { "  never moves" };
-            let _ = write!(text, "\n  {:<11}{min:.2} … {max:.2}, median {median:.2}{still}", u.unit.to_string());
+            let sure = u
+                .sureness
+                .filter(|_| p99 >= crate::sureness::MOVES_FROM)
+                .map_or_else(String::new, |s| format!("  {}", s.word()));
+            let name = u.unit.to_string();
+            let _ = write!(text, "\n  {name:<11}{min:.2} … {max:.2}, median {median:.2}, 99 % {p99:.2}{still}{sure}");
         }
+    }
+    if q.saturated_share > 0.0 {
+        let _ = write!(
+            text,
+            "\nsaturated    an AU stands at the end of its scale in {:.1} % of the frames",
+            100.0 * q.saturated_share
+        );
+    }
+    if let Some(names) = crate::sureness::still(&q.units) {
+        let _ = write!(text, "\nhardly move  {names}: nothing to judge them by");
+    }
+    if let Some(names) = crate::sureness::not_sure(&q.units) {
+        let _ = write!(
+            text,
+            "\nnot sure     {names}: look at their peaks (`tracker check --report`) before you build on them"
+        );
     }
     text
 }

@@ -87,8 +87,8 @@ impl Writer<'_> {
                 let (rows, extras): (Vec<TrackRow>, Vec<Extra>) = batch.drain(..).unzip();
                 let frames = &take.frames[done - rows.len()..done];
                 table.push(&rows.iter().map(Some).collect::<Vec<_>>(), frames, &extras)?;
-                for row in &rows {
-                    meter.push(row);
+                for (row, extra) in rows.iter().zip(&extras) {
+                    meter.push(row, extra.au_confidences.as_ref());
                 }
                 let track = Track { units: units.clone(), presence_units: units.clone(), rows };
                 csv.push(&track, &extras)?;
