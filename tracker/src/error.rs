@@ -226,6 +226,14 @@ pub enum TrackerError {
         /// What is wrong with it.
         problem: String,
     },
+    /// There are no AU models of OpenFace where they should be.
+    #[error("{dir}: has no AU models of OpenFace: looked for {places}", dir = dir.display(), places = listed(looked_for))]
+    NoOpenFaceModels {
+        /// The folder that was named.
+        dir: PathBuf,
+        /// The files of which one should be there.
+        looked_for: Vec<PathBuf>,
+    },
     /// A camera does not do what it should.
     #[error("camera {number} {what}")]
     Camera {
@@ -309,6 +317,9 @@ impl Hint for TrackerError {
             .into(),
             Self::Inference { .. } | Self::NetworkOutput { .. } => {
                 "`models.toml` has to describe the network beside it; `tools/models` fetches networks that fit".into()
+            }
+            Self::NoOpenFaceModels { .. } => {
+                "name the folder of an OpenFace 2.x install, or its `AU_predictors` or `model` folder; this project has no copy of them".into()
             }
             Self::Camera { .. } => "`capture devices` lists cameras; another program may use this one".into(),
             Self::NothingInCommon { .. } => {

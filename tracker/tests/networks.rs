@@ -6,13 +6,17 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
 use risorius_formats::Hint;
 use risorius_formats::openface::{self, ReadOptions};
 use risorius_formats::report::Collected;
+use risorius_tracker::aus::AuSource;
+use risorius_tracker::aus::openface::HOG_NUMBERS;
 use risorius_tracker::models::default_dir;
 use risorius_tracker::models::runtime::{Runtime, library_places};
 use risorius_tracker::run::follow::FirstFace;
 use risorius_tracker::run::{RunOptions, RunSummary, run};
+use risorius_tracker::weights::Weights;
 
 #[path = "support/onnx.rs"]
 mod onnx;
@@ -291,4 +295,78 @@ fn the_real_networks_keep_their_accuracy_on_ada() {
         }
     }
     assert!(sum / count < 0.022, "{}", sum / count);
+}
+
+/// An AU model of OpenFace's kind over the tests' point model, with these weights.
+fn au_model(kind: i32, weights: &[(usize, f64)], bias: f64) -> testing::ModelFile {
+    let count = HOG_NUMBERS + 204 + 3;
+    let mut all = vec![0.0; count];
+    for (i, w) in weights {
+        all[*i] = *w;
+    }
+    testing::ModelFile { kind, cutoff: 0.5, mean: vec![0.1; count], weights: all, bias }
+}
+
+#[test]
+fn models_of_openface_take_the_place_of_the_readout() {
+    if runtime().is_none() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    // Grey pictures; every third block of eight has stripes, which change the skin's FHOG.
+    let mean = &Weights::get().shape.mean;
+    // The box around the points is half of the crop and in its middle, so that the next crop is the same.
+    let bounds = |axis: usize| mean.iter().fold([f64::MAX, f64::MIN], |[l, h], p| [l.min(p[axis]), h.max(p[axis])]);
+    let [x, y] = [bounds(0), bounds(1)];
+    let scale = 16.0 / (x[1] - x[0]).max(y[1] - y[0]);
+    let place = |v: f64, [low, high]: [f64; 2]| (16.0 + (v - 0.5 * (low + high)) * scale) as f32;
+    let points: Vec<f32> = mean.iter().flat_map(|p| [place(p.x, x), place(p.y, y)]).collect();
+    let (take, models) = (grey_take(dir.path(), 48), models(dir.path(), &points, 4.0));
+    let is_striped = |i: usize| i % 24 >= 16;
+    for i in (0..48).filter(|i| is_striped(*i)) {
+        let striped = image::RgbImage::from_fn(64, 48, |x, _| image::Rgb([if x % 8 < 4 { 90 } else { 170 }; 3]));
+        striped.save(take.join(format!("pictures/{i:03}.png"))).unwrap();
+    }
+    // The signed horizontal gradients of the cells in the middle of the face.
+    let cells = (4..8).flat_map(|row| (4..8).map(move |column| (row * 12 + column) * 31));
+    let weights: Vec<(usize, f64)> = cells.flat_map(|at| [(at, 0.2), (at + 9, 0.2)]).collect();
+    let faces: [DVec3; 68] = std::array::from_fn(|i| mean[i] * 90.0 / mean[36].distance(mean[45]));
+    let install = dir.path().join("OpenFace");
+    let files = [
+        ("AU01", au_model(1, &weights, 0.3)),
+        ("AU12", au_model(0, &[(0, 0.0)], 2.5)),
+        ("AU12", au_model(5, &weights, -0.3)),
+    ];
+    testing::write_openface_install(&install, &faces, &files);
+    let mut tables = Vec::new();
+    for threads in [1, 3] {
+        let options = RunOptions {
+            models: Some(models.clone()),
+            threads,
+            aus: AuSource::OpenFace(install.join("model")),
+            ..RunOptions::default()
+        };
+        let summary = run(&take, &options, &Collected::default()).unwrap();
+        assert_eq!((summary.quality.valid_frames, summary.au_model.as_str()), (48, "OpenFace's models"));
+        tables.push(std::fs::read(take.join("track/openface.csv")).unwrap());
+    }
+    assert!(tables[0] == tables[1], "the number of threads changes nothing");
+    let table = openface::parse(&tables[0], &ReadOptions::default(), &Collected::default()).unwrap();
+    let slot = |unit: u8| table.units.iter().position(|u| u.0 == unit).unwrap();
+    let curve: Vec<f32> = table.rows.iter().map(|r| r.intensities[slot(1)].unwrap()).collect();
+    for (i, row) in table.rows.iter().enumerate() {
+        // Means of three and of seven frames: only those far from a change are clear.
+        let is_clear = (i.saturating_sub(3)..(i + 4).min(48)).all(|k| is_striped(k) == is_striped(i));
+        let au01 = row.intensities[slot(1)].unwrap();
+        assert_eq!(row.intensities[slot(12)], Some(2.5), "a static model of nothing but its bias");
+        if is_clear {
+            assert_eq!(au01 > 0.5, is_striped(i), "frame {i}: {curve:?}");
+            assert!(is_striped(i) || au01 < 0.02, "frame {i}: {curve:?}");
+            let present = table.presence_units.iter().position(|u| u.0 == 12).and_then(|k| row.presences[k]);
+            assert_eq!(present, Some(is_striped(i)), "frame {i}");
+        }
+    }
+    let options = RunOptions { aus: AuSource::OpenFace(dir.path().to_owned()), ..RunOptions::default() };
+    let error = run(&take, &options, &Collected::default()).unwrap_err();
+    assert!(error.to_string().contains("AU_all_best.txt") && error.hint().unwrap().contains("OpenFace 2.x"), "{error}");
 }

@@ -134,7 +134,7 @@ fn inverse(similarity: &Affine) -> Affine {
 }
 
 /// Runs of columns whose centres lie inside the polygon at the height `v` (even–odd rule).
-fn inside(polygon: &[[f32; 2]], v: f32) -> Vec<[usize; 2]> {
+pub(super) fn inside(polygon: &[[f32; 2]], v: f32) -> Vec<[usize; 2]> {
     let mut crossings: Vec<f32> = (0..polygon.len())
         .filter_map(|i| {
             let ([ax, ay], [bx, by]) = (polygon[i], polygon[(i + polygon.len() - 1) % polygon.len()]);

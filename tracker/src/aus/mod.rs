@@ -8,6 +8,7 @@
 pub mod face;
 pub mod fhog;
 pub mod memory;
+pub mod openface;
 pub mod person;
 pub mod readout;
 
@@ -23,6 +24,16 @@ pub const YAW: usize = SCORES;
 pub const PITCH: usize = YAW + 1;
 /// Numbers kept of every frame: two scores of each AU, then yaw and pitch.
 pub const FEATURES: usize = PITCH + 1;
+
+/// Where AUs come from.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum AuSource {
+    /// This project's readout, or the AU network of the manifest.
+    #[default]
+    Own,
+    /// OpenFace's models in this folder: see [`openface`].
+    OpenFace(std::path::PathBuf),
+}
 
 /// Intensities, presences and confidences of one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]

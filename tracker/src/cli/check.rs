@@ -37,7 +37,7 @@ pub(super) struct CheckArgs {
     overlay: Option<PathBuf>,
     /// Write a page with curves, peaks, confidence and gaze [default: TAKE/track/report.html]
     #[arg(long, value_name = "FILE.html", num_args = 0..=1)]
-    report: Option<Option<PathBuf>>,
+    report: Option<Vec<PathBuf>>,
     /// How many pictures
     #[arg(long, value_name = "N", default_value_t = 12, requires = "pictures")]
     count: usize,
@@ -53,7 +53,8 @@ pub(super) fn run(args: &CheckArgs, console: &Console) -> Result<(), Failure> {
     if let Some(out) = &args.overlay {
         crate::overlay::draw(&args.take, out, console)?;
     }
-    let page = args.report.as_ref().map(|path| path.clone().unwrap_or_else(|| report::default_path(&args.take)));
+    let page =
+        args.report.as_ref().map(|paths| paths.first().cloned().unwrap_or_else(|| report::default_path(&args.take)));
     if let Some(out) = &page {
         report::write(&args.take, &checked, out, console)?;
     }

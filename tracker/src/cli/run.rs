@@ -8,7 +8,8 @@ use risorius_console::{AgainArgs, Console, Failure, Stage};
 use serde::Deserialize;
 use serde_json::json;
 
-use crate::aus::Calibration;
+use crate::aus::openface::folder::ModelFiles;
+use crate::aus::{AuSource, Calibration};
 use crate::run::follow::FirstFace;
 use crate::run::{self, RunOptions};
 
@@ -23,7 +24,8 @@ use crate::run::{self, RunOptions};
 #[command(after_help = "Examples:
   tracker run takes/ada
   tracker run takes/ada --every 4
-  tracker run takes/ada --models my-models --threads 1")]
+  tracker run takes/ada --models my-models --threads 1
+  tracker run takes/ada --aus openface --openface-models OpenFace_2.2.0_win_x64")]
 pub(super) struct RunArgs {
     /// The take
     take: PathBuf,
@@ -45,8 +47,23 @@ pub(super) struct RunArgs {
     /// Learn the person's rest from earlier frames only, as a live system has to
     #[arg(long)]
     online: bool,
+    /// Where AUs come from [default: own]
+    #[arg(long, value_name = "WHICH")]
+    aus: Option<AusArg>,
+    /// Folder of an OpenFace 2.x install, for `--aus openface`
+    #[arg(long, value_name = "DIR")]
+    openface_models: Option<PathBuf>,
     #[command(flatten)]
     again: AgainArgs,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum AusArg {
+    /// This project's readout, or the AU network of models.toml
+    Own,
+    /// OpenFace's own AU models (academic, non-commercial use), which you have
+    Openface,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum, Deserialize)]
@@ -76,6 +93,28 @@ struct Settings {
     face: Option<FaceArg>,
     focal: Option<f64>,
     online: Option<bool>,
+    aus: Option<AusArg>,
+    openface_models: Option<PathBuf>,
+}
+
+/// Where AUs come from, by the options `--aus` and `--openface-models`; the latter's default lies in `risorius.toml`.
+fn au_source(
+    aus: AusArg,
+    named: Option<&PathBuf>,
+    default: Option<PathBuf>,
+    online: bool,
+) -> Result<AuSource, Failure> {
+    match (aus, named.cloned().or(default)) {
+        (AusArg::Own, _) if named.is_some() => Err(Failure::usage("`--openface-models` goes with `--aus openface`")),
+        (AusArg::Own, _) => Ok(AuSource::Own),
+        (AusArg::Openface, _) if online => Err(Failure::usage(
+            "`--aus openface` needs the whole clip: its median is rest, and `--online` knows earlier frames only",
+        )),
+        (AusArg::Openface, Some(dir)) => Ok(AuSource::OpenFace(dir)),
+        (AusArg::Openface, None) => {
+            Err(Failure::usage("`--aus openface` needs `--openface-models DIR`, the folder of an OpenFace 2.x install"))
+        }
+    }
 }
 
 pub(super) fn run(args: &RunArgs, console: &Console) -> Result<(), Failure> {
@@ -89,6 +128,12 @@ pub(super) fn run(args: &RunArgs, console: &Console) -> Result<(), Failure> {
     }
     let face = args.face.or(settings.face).unwrap_or(FaceArg::Largest).first();
     let online = args.online || settings.online.unwrap_or(false);
+    let aus = au_source(
+        args.aus.or(settings.aus).unwrap_or(AusArg::Own),
+        args.openface_models.as_ref(),
+        settings.openface_models,
+        online,
+    )?;
     let options = RunOptions {
         models: args.models.clone().or(settings.models),
         every,
@@ -96,18 +141,25 @@ pub(super) fn run(args: &RunArgs, console: &Console) -> Result<(), Failure> {
         face,
         focal_px,
         calibration: if online { Calibration::Online } else { Calibration::WholeVideo },
+        aus,
     };
     let models = options.models.clone().unwrap_or_else(crate::models::default_dir);
-    let asked = json!({
+    let mut asked = json!({
         "every": every,
         "first_face": matches!(face, FirstFace::First),
         "focal_px": focal_px,
         "online": online,
     });
+    if options.aus != AuSource::Own {
+        asked["aus"] = json!("openface");
+    }
     let track = args.take.join("track");
     super::need_take(&args.take)?;
     let stage = Stage::new("tracker run", &track, &asked)?;
-    let inputs = super::take_inputs(&args.take, &[]).file("models", models.join(crate::models::MANIFEST));
+    let mut inputs = super::take_inputs(&args.take, &[]).file("models", models.join(crate::models::MANIFEST));
+    if let AuSource::OpenFace(dir) = &options.aus {
+        inputs = inputs.file("openface-models", ModelFiles::find(dir)?.list);
+    }
     let Some(running) = stage.begin(args.again, inputs, console)? else { return Ok(()) };
     let summary = run::run(&args.take, &options, console).map_err(|e| super::failure(e, options.models.is_some()))?;
     running.finish(&["openface.csv", "track.parquet"])?;

@@ -5,6 +5,8 @@
 //! out to be somewhere else, the network runs again on the better crop. The outcome depends on the pictures only, not on
 //! the number of threads.
 
+use std::sync::Arc;
+
 use image::RgbImage;
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -12,6 +14,7 @@ use rayon::prelude::*;
 use super::crop::Crop;
 use super::detect::{Detector, Face, LEVELS};
 use super::landmarks::{Found, Landmarker};
+use crate::aus::openface::OpenFaceModels;
 use crate::aus::readout::Readout;
 use crate::error::{Result, TrackerError};
 use crate::models::ModelFolder;
@@ -75,13 +78,19 @@ pub struct Effort {
 }
 
 impl Follower {
-    /// Loads the networks once for each of `threads` threads.
-    pub fn new(runtime: &Runtime, models: &ModelFolder, threads: usize, choice: FirstFace) -> Result<Self> {
+    /// Loads the networks once for each of `threads` threads; AUs come from `openface` where it is given.
+    pub fn new(
+        runtime: &Runtime,
+        models: &ModelFolder,
+        threads: usize,
+        choice: FirstFace,
+        openface: Option<&Arc<OpenFaceModels>>,
+    ) -> Result<Self> {
         let threads = threads.clamp(1, BLOCK);
         let load = || {
-            let networks =
-                Networks { detector: Detector::open(runtime, models)?, landmarker: Landmarker::open(runtime, models)? };
-            Ok(std::sync::Mutex::new(networks))
+            let detector = Detector::open(runtime, models)?;
+            let landmarker = Landmarker::open(runtime, models, openface.cloned())?;
+            Ok(std::sync::Mutex::new(Networks { detector, landmarker }))
         };
         let networks = (0..threads).map(|_| load()).collect::<Result<Vec<_>>>()?;
         let pool = rayon::ThreadPoolBuilder::new()

@@ -1,18 +1,23 @@
 //! The points of one face in one picture, by a landmark network.
 
+use std::sync::Arc;
+
 use image::RgbImage;
 
 use super::crop::{Crop, Sampling};
 use super::mesh::{self, MESH_POINTS, Mesh};
 use crate::aus::face::{AlignedFace, NetworkInput};
 use crate::aus::fhog::fhog;
+use crate::aus::openface::OpenFaceModels;
 use crate::aus::readout::{self, Inputs, Readout};
+use crate::aus::{FEATURES, SCORES};
 use crate::error::{Result, TrackerError};
 use crate::gaze::{self, EYE_NUMBERS};
 use crate::models::ModelFolder;
 use crate::models::manifest::{AuModel, LandmarkModel, Layout, PointSet};
 use crate::models::runtime::{Network, Runtime};
 use crate::weights::Weights;
+use risorius_formats::Similarity;
 
 /// Coefficients of the blendshape network.
 pub const BLENDSHAPES: usize = 52;
@@ -29,7 +34,7 @@ pub struct Found {
     /// The masked, aligned face, where there is a readout for it.
     face: Option<AlignedFace>,
     /// What the AUs are made of: [`readout::features`], where the network gives a mesh; or the intensities of an AU
-    /// network.
+    /// network; or yaw and pitch behind zeros, then what OpenFace's models read.
     pub features: Vec<f32>,
     /// Numbers of the eyes, where the network gives a mesh.
     pub eyes: Option<Box<[f32; EYE_NUMBERS]>>,
@@ -46,13 +51,14 @@ pub struct Landmarker {
     blendshapes: Option<Network>,
     readout: Option<&'static Readout>,
     aus: Option<(Network, AuModel)>,
+    openface: Option<Arc<OpenFaceModels>>,
     model: LandmarkModel,
     input: Vec<f32>,
 }
 
 impl Landmarker {
-    /// Loads the networks of a folder of models.
-    pub fn open(runtime: &Runtime, models: &ModelFolder) -> Result<Self> {
+    /// Loads the networks of a folder of models; with `openface` AUs come from these models alone.
+    pub fn open(runtime: &Runtime, models: &ModelFolder, openface: Option<Arc<OpenFaceModels>>) -> Result<Self> {
         let model = models.manifest.landmarks.clone();
         let size = model.width as usize;
         let shape = if model.layout == Layout::Nhwc { [1, size, size, 3] } else { [1, 3, size, size] };
@@ -66,7 +72,7 @@ impl Landmarker {
             }
             None => None,
         };
-        let aus = match &models.manifest.aus {
+        let aus = match models.manifest.aus.as_ref().filter(|_| openface.is_none()) {
             Some(m) => {
                 let size = m.width as usize;
                 let shape = if m.layout == Layout::Nhwc { [1, size, size, 3] } else { [1, 3, size, size] };
@@ -78,13 +84,13 @@ impl Landmarker {
         // Those that need more come first.
         let readouts = &Weights::get().readouts;
         let readout = match (model.kind, blendshapes.is_some(), model.inner16.is_some()) {
-            _ if aus.is_some() => None,
+            _ if aus.is_some() || openface.is_some() => None,
             (PointSet::Points68, ..) => None,
             (_, true, true) => readouts.first(),
             (_, true, false) => readouts.get(1),
             (_, false, _) => readouts.get(2),
         };
-        Ok(Self { network, blendshapes, readout, aus, model, input: Vec::new() })
+        Ok(Self { network, blendshapes, readout, aus, openface, model, input: Vec::new() })
     }
 
     /// The readout that fits these networks.
@@ -191,6 +197,15 @@ impl Landmarker {
         found.eyes = aligned.as_ref().map(|(mesh, alignment)| Box::new(gaze::numbers(mesh, alignment)));
         if self.aus.is_some() {
             return self.express_by_network(picture, found);
+        }
+        if let Some(models) = &self.openface {
+            if let Some(numbers) = models.describe(picture, &found.points_px) {
+                let unscored = [0.0; SCORES];
+                let turned = |(_, alignment): &(_, Similarity)| readout::features(&unscored, alignment);
+                found.features = aligned.as_ref().map_or([0.0; FEATURES], turned).to_vec();
+                found.features.extend(numbers);
+            }
+            return Ok(());
         }
         let (Some(readout), Some((mesh, canonical_from_picture))) = (self.readout, aligned) else { return Ok(()) };
         let Some(face) = found.face.take() else { return Ok(()) };

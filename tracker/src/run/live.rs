@@ -174,7 +174,7 @@ pub fn live(
     name: &Path,
     reporter: &dyn Reporter,
 ) -> Result<LiveSummary> {
-    let (_, mut follower) = open_networks(options.models.as_deref(), options.threads, options.face)?;
+    let (_, mut follower) = open_networks(options.models.as_deref(), options.threads, options.face, None)?;
     reporter.stage("live", options.frames);
     let exchange = Exchange::default();
     thread::scope(|scope| {
@@ -220,6 +220,7 @@ fn track(
                 eyes: Gazer::learn(&[], Calibration::Online),
                 before: None,
                 pitch_apart: (0.0, 0),
+                clip: None,
             }
         });
         let found = follower.block(std::slice::from_ref(&picture.image))?.pop().flatten();

@@ -17,13 +17,16 @@ pub mod observations;
 pub mod rows;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use risorius_formats::atomic::AtomicDir;
 use risorius_formats::{FormatError, Reporter, Take, Warning};
 use serde::Serialize;
 
-use crate::aus::{Calibration, FEATURES, Person};
+use crate::aus::openface::OpenFaceModels;
+use crate::aus::openface::clip::{ClipAus, ClipStatistics};
+use crate::aus::{AuSource, Calibration, FEATURES, Person};
 use crate::error::{Result, TrackerError};
 use crate::gaze::Gazer;
 use crate::head_pose::{Lens, shape::PersonShape};
@@ -31,6 +34,7 @@ use crate::models::ModelFolder;
 use crate::models::runtime::{Runtime, library_places};
 use crate::quality::TrackQuality;
 use crate::weights::Weights;
+use between::Interpolator;
 use follow::{Effort, FirstFace, Follower};
 use frames::{Block, decode};
 use observations::{Observation, Recorder, Recording};
@@ -50,6 +54,8 @@ pub struct RunOptions {
     pub focal_px: Option<f64>,
     /// Whether the person's rest is learned from the whole video or, as a live system has to, from what came before.
     pub calibration: Calibration,
+    /// Where AUs come from.
+    pub aus: AuSource,
 }
 
 impl Default for RunOptions {
@@ -61,6 +67,7 @@ impl Default for RunOptions {
             face: FirstFace::default(),
             focal_px: None,
             calibration: Calibration::default(),
+            aus: AuSource::default(),
         }
     }
 }
@@ -103,13 +110,20 @@ const SHAPE_SAMPLE: usize = 150;
 pub fn run(take_dir: impl AsRef<Path>, options: &RunOptions, reporter: &dyn Reporter) -> Result<RunSummary> {
     let started = Instant::now();
     let take = Take::open(take_dir)?;
-    let (models, mut follower) = open_networks(options.models.as_deref(), options.threads, options.face)?;
+    let openface = match &options.aus {
+        AuSource::Own => None,
+        AuSource::OpenFace(dir) => Some(Arc::new(OpenFaceModels::open(dir)?)),
+    };
+    let (models, mut follower) =
+        open_networks(options.models.as_deref(), options.threads, options.face, openface.as_ref())?;
+    let mut statistics = openface.as_deref().map(ClipStatistics::new);
     let every = options.every.max(1);
     let folder = AtomicDir::create(take.dir.join("track"))?;
 
     let last = (take.frames.len() as u32).saturating_sub(1);
     reporter.stage("track", Some(u64::from(last / every + 1)));
-    let recording = first_pass(&take, &mut follower, every, &folder.path().join("observations.tmp"), reporter)?;
+    let observations = folder.path().join("observations.tmp");
+    let recording = first_pass(&take, &mut follower, statistics.as_mut(), every, &observations, reporter)?;
     let tracking_secs = started.elapsed().as_secs_f64();
 
     reporter.stage("write the track", None);
@@ -133,14 +147,17 @@ pub fn run(take_dir: impl AsRef<Path>, options: &RunOptions, reporter: &dyn Repo
     let eyes: Vec<_> = sample.iter().filter_map(|o| o.eyes.as_deref().copied()).collect();
     let eyes = Gazer::learn(&eyes, options.calibration);
     let person_is_known = person.is_some() && options.calibration == Calibration::WholeVideo;
+    let clip = statistics.map(|statistics| clip_aus(&statistics, &recording, every, take.frames.len())).transpose()?;
     let network = follower.au_model();
     let au_model = match &network {
         Some(m) => m.sha256.clone().unwrap_or_else(|| m.file.clone()),
+        None if clip.is_some() => "OpenFace's models".to_owned(),
         None if person.is_some() => Weights::get().name.clone(),
         None => "none: no mesh".to_owned(),
     };
     let shape_error_px = shape.error * lens.focal_px;
-    let maker = rows::RowMaker { lens, shape, person, au_model: network, eyes, before: None, pitch_apart: (0.0, 0) };
+    let maker =
+        rows::RowMaker { lens, shape, person, au_model: network, clip, eyes, before: None, pitch_apart: (0.0, 0) };
     let writer = rows::Writer { take: &take, maker, every, smooth: person_is_known };
     let written = writer.write(&recording, folder.path(), reporter)?;
     let tracked = recording.len();
@@ -173,25 +190,54 @@ pub fn run(take_dir: impl AsRef<Path>, options: &RunOptions, reporter: &dyn Repo
     Ok(summary)
 }
 
+/// The AUs of every frame from x·w of the tracked ones.
+fn clip_aus(statistics: &ClipStatistics, recording: &Recording, every: u32, frames: usize) -> Result<ClipAus> {
+    let mut between = Interpolator::new(recording.read()?, every, frames);
+    let products = (0..frames).map(|_| {
+        let (observation, _) = between.next_frame()?;
+        Ok(observation.and_then(|o| Some(o.features.get(FEATURES..)?.to_vec())))
+    });
+    statistics.aus(products)
+}
+
 /// Loads the networks of a folder, or those that `tools/models` fetched.
-fn open_networks(models: Option<&Path>, threads: usize, face: FirstFace) -> Result<(ModelFolder, Follower)> {
+fn open_networks(
+    models: Option<&Path>,
+    threads: usize,
+    face: FirstFace,
+    openface: Option<&Arc<OpenFaceModels>>,
+) -> Result<(ModelFolder, Follower)> {
     let default_dir = crate::models::default_dir();
     let models = ModelFolder::open(models.unwrap_or(&default_dir))?;
     let runtime = Runtime::load(&library_places(&[&models.dir, &default_dir]))?;
-    let follower = Follower::new(&runtime, &models, threads, face)?;
+    let follower = Follower::new(&runtime, &models, threads, face, openface)?;
     Ok((models, follower))
+}
+
+/// Counts what OpenFace's models read of a frame, and puts x·w in its place: x is a hundred times as long.
+fn reduce(observation: Option<&mut Observation>, statistics: &mut ClipStatistics) {
+    let x = observation.as_ref().and_then(|o| o.features.get(FEATURES..));
+    let products = statistics.push(x);
+    if let (Some(observation), Some(products)) = (observation, products) {
+        observation.features.truncate(FEATURES);
+        observation.features.extend(products);
+    }
 }
 
 /// Follows the face through the video and keeps what was seen at `path`.
 fn first_pass(
     take: &Take,
     follower: &mut Follower,
+    mut statistics: Option<&mut ClipStatistics>,
     every: u32,
     path: &Path,
     reporter: &dyn Reporter,
 ) -> Result<Recording> {
     let last = (take.frames.len() as u32).saturating_sub(1);
-    let features = follower.au_model().map_or(FEATURES, |m| m.units.len());
+    let features = match &statistics {
+        Some(statistics) => FEATURES + statistics.products(),
+        None => follower.au_model().map_or(FEATURES, |m| m.units.len()),
+    };
     let mut recorder = Recorder::create(path, features)?;
     let mut seen = 0;
     std::thread::scope(|scope| -> Result<()> {
@@ -201,7 +247,11 @@ fn first_pass(
                 return Err(TrackerError::Cancelled { doing: "tracking".to_owned() });
             }
             for found in follower.block(&pictures)? {
-                recorder.push(found.map(Observation::from).as_ref())?;
+                let mut observation = found.map(Observation::from);
+                if let Some(statistics) = &mut statistics {
+                    reduce(observation.as_mut(), statistics);
+                }
+                recorder.push(observation.as_ref())?;
             }
             seen += frames.len();
             reporter.advance(frames.len() as u64);

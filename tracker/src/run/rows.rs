@@ -12,6 +12,7 @@ use risorius_formats::{FormatError, FrameIndex, Isometry, Landmarks68, Reporter,
 use super::between::{Interpolator, Smoothed};
 use super::gaze_columns;
 use super::observations::{Observation, Recording};
+use crate::aus::openface::clip::ClipAus;
 use crate::aus::{FEATURES, PITCH, Person};
 use crate::error::{Result, TrackerError};
 use crate::gaze::{EYE_LANDMARKS, Gazer};
@@ -43,6 +44,8 @@ pub struct RowMaker {
     pub person: Option<Person>,
     /// The AU network whose intensities were seen, in their place.
     pub au_model: Option<AuModel>,
+    /// The AUs of OpenFace's models, where they take the person's place.
+    pub clip: Option<ClipAus>,
     /// The person's eyes.
     pub eyes: Gazer,
     /// The pose of the row before.
@@ -136,6 +139,10 @@ impl RowMaker {
                 }
             }
         }
+        if let Some(aus) = self.clip.as_ref().and_then(|clip| clip.get(frame.0 as usize)) {
+            row.intensities = aus.intensities.to_vec();
+            row.presences = aus.presences.to_vec();
+        }
         self.place(&mut row, &mut extra, seen);
         row.landmarks = Some(Box::new(Landmarks68 { points_px: seen.points_px }));
         (row, extra)
@@ -174,7 +181,7 @@ impl RowMaker {
     /// The head's rotation for the gaze: its pitch moves as the mean of the pose's and the mesh's, whose noise differs.
     fn steadied(&mut self, pose: &Isometry, features: &[f32]) -> DMat3 {
         let mut head = HeadPose::from_isometry(pose);
-        if features.len() == FEATURES {
+        if features.len() >= FEATURES {
             let apart = f64::from(features[PITCH]) - head.rotation_rad.x;
             let (mean, rows) = &mut self.pitch_apart;
             *rows += 1;
