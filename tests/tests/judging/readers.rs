@@ -17,7 +17,7 @@ pub(super) struct Splat {
     pub sh1: [[f32; 3]; 3],
 }
 
-const SH_C0: f32 = 0.282_094_79;
+const SH_C0: f32 = 0.282_094_8;
 
 fn float(bytes: &[u8], at: usize) -> f32 {
     f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap())

@@ -24,8 +24,7 @@ fn open(run_dir: &Path) -> Avatar {
 fn psnr(a: &RgbImage, b: &RgbImage, counts: impl Fn(usize) -> bool) -> f64 {
     assert_eq!(a.dimensions(), b.dimensions());
     let (mut sum, mut n) = (0.0, 0usize);
-    for (i, (a, b)) in a.pixels().zip(b.pixels()).enumerate().filter(|(i, _)| counts(*i)) {
-        let _ = i;
+    for (_, (a, b)) in a.pixels().zip(b.pixels()).enumerate().filter(|(i, _)| counts(*i)) {
         sum += (0..3).map(|c| (f64::from(a.0[c]) - f64::from(b.0[c])).powi(2)).sum::<f64>();
         n += 3;
     }
