@@ -1,4 +1,4 @@
-// A page of `trainer view` in a real browser, and how it is asked what it shows.
+// A page of `trainer view` or of `trainer export` in a real browser, and how it is asked what it shows.
 //
 // Needs playwright-core (npm) where node finds it, and Chromium: $CHROMIUM, else /usr/bin/chromium.
 
@@ -10,7 +10,7 @@ const { chromium } = createRequire(process.env.PLAYWRIGHT_FROM ?? import.meta.ur
 // Opens a browser, hands `work` what opens pages in it, and prints what it gives; `folder` gets screenshots.
 export async function inBrowser(folder, work) {
   if (folder) mkdirSync(folder, { recursive: true });
-  const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: ["--no-sandbox"] });
+  const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"] });
   const context = await browser.newContext({ viewport: { width: 1280, height: 860 } });
   const tally = { checks: 0, last: null };
   try {
@@ -31,7 +31,7 @@ async function openPage(context, url, folder, tally) {
   const problems = [];
   page.on("console", (m) => m.type() === "error" && problems.push(m.text()));
   page.on("pageerror", (e) => problems.push(String(e)));
-  page.on("request", (r) => r.url().startsWith(new URL(url).origin) || r.url().startsWith("blob:") || problems.push(`asks elsewhere: ${r.url()}`));
+  page.on("request", (r) => r.url() === url || r.url().startsWith(new URL(url).origin) || /^(blob|data):/.test(r.url()) || problems.push(`asks elsewhere: ${r.url()}`));
   const opened = {
     page,
     problems,
@@ -65,7 +65,7 @@ async function openPage(context, url, folder, tally) {
   };
   tally.last = opened;
   await page.goto(url);
-  await page.waitForFunction(() => window.risorius, null, { timeout: 60000 });
+  await page.waitForFunction(() => window.risorius, null, { timeout: 600000 });
   return opened;
 }
 

@@ -131,7 +131,9 @@ fn every_command_of_the_readme_works() {
         }
     }
     // What they leave is what the README says.
-    for file in ["takes/ada/take.toml", "datasets/ada/dataset.json", "runs/ada/model.json", "orbit.mp4", "ada.glb"] {
+    for file in
+        ["takes/ada/take.toml", "datasets/ada/dataset.json", "runs/ada/model.json", "orbit.mp4", "ada.glb", "ada.html"]
+    {
         assert!(at(file).is_file(), "no command of the README makes {file}");
     }
 }

@@ -15,6 +15,7 @@ use serde::Serialize;
 
 use crate::error::Result;
 use crate::expression::Expression;
+use crate::splat::SplatField;
 
 /// What is painted where nothing was fitted.
 const BACKDROP: [u8; 3] = [128, 128, 128];
@@ -91,6 +92,11 @@ pub trait Field: Send + Sync {
     /// Whether AUs steer it: of the models that CoNFies is compared with, some know codes only.
     fn is_steered(&self) -> bool {
         true
+    }
+
+    /// The Gaussians, where the field is made of them.
+    fn gaussians(&self) -> Option<&SplatField> {
+        None
     }
 
     /// The regions that an AU acts in, by its number in the table and its own region, which comes first.

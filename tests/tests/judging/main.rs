@@ -3,6 +3,8 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 #![allow(clippy::print_stderr, reason = "a test that is skipped has to say so")]
 
+mod readers;
+mod sharing;
 mod viewing;
 
 use std::path::{Path, PathBuf};

@@ -70,6 +70,12 @@ fn the_viewer_answers_its_own_page_only() {
 
 /// Runs a script of `browser/` in a real browser and gives the number of its checks; `None` where there is no browser.
 fn in_a_browser(script: &str, args: &[&str]) -> Option<u64> {
+    let result = browser_result(script, args)?;
+    Some(result["checks"].as_u64().unwrap_or_else(|| panic!("{result}")))
+}
+
+/// Runs a script of `browser/` in a real browser and gives what it prints; `None` where there is no browser.
+pub(super) fn browser_result(script: &str, args: &[&str]) -> Option<Value> {
     let packages = npm_package("playwright-core")?;
     let chromium = std::env::var("CHROMIUM").unwrap_or_else(|_| "/usr/bin/chromium".to_owned());
     if !Path::new(&chromium).is_file() {
@@ -84,8 +90,7 @@ fn in_a_browser(script: &str, args: &[&str]) -> Option<u64> {
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let result = json(&String::from_utf8_lossy(&output.stdout));
-    Some(result["checks"].as_u64().unwrap_or_else(|| panic!("{result}")))
+    Some(json(&String::from_utf8_lossy(&output.stdout)))
 }
 
 #[test]

@@ -45,7 +45,7 @@ enum Command {
     Eval(eval::EvalArgs),
     /// Let a second video's expressions drive the avatar
     Transfer(transfer::TransferArgs),
-    /// Write the avatar as glTF with a morph target per AU
+    /// Write the avatar to send: a page, Gaussians, or glTF with a morph target per AU
     Export(export::ExportArgs),
     /// Turn and steer the avatar in a page on this machine
     View(view::ViewArgs),

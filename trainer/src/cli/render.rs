@@ -87,7 +87,7 @@ pub(super) struct RenderArgs {
     device: DeviceArgs,
 }
 
-fn parse_preset(text: &str) -> Result<&'static Preset, String> {
+pub(super) fn parse_preset(text: &str) -> Result<&'static Preset, String> {
     Preset::named(text).ok_or_else(|| {
         let names: Vec<&str> = PRESETS.iter().map(|p| p.name).collect();
         format!("presets: {}", names.join(", "))

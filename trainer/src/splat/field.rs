@@ -8,6 +8,7 @@ use risorius_formats::{AuScale, Camera, Intrinsics, Isometry, Reporter};
 use risorius_splat::{Gaussians, MOST_SIDE, Picture, Renderer, Skips};
 
 use super::plate::Plate;
+use super::space::MetricSpace;
 use super::store::{self, SavedSplat};
 use crate::error::{Result, TrainerError};
 use crate::expression::Expression;
@@ -34,6 +35,21 @@ impl SplatField {
         Ok(Self { model, saved: splat.clone(), plate, scales })
     }
 
+    /// The Gaussians' space.
+    pub fn space(&self) -> &MetricSpace {
+        &self.saved.space
+    }
+
+    /// The picture behind a head before a still camera, if there is one.
+    pub fn plate(&self) -> Option<&Plate> {
+        self.plate.as_ref()
+    }
+
+    /// Whether intensities were fitted, rather than attributes, which end at 80 % of the strongest.
+    pub fn knows_intensities(&self) -> bool {
+        self.saved.intensities
+    }
+
     /// The activations of an expression.
     pub fn activations(&self, expression: &Expression) -> Vec<f32> {
         let of = |(scale, intensity): (&AuScale, &_)| {
@@ -55,6 +71,10 @@ impl Field for SplatField {
 
     fn is_dear(&self) -> bool {
         false
+    }
+
+    fn gaussians(&self) -> Option<&SplatField> {
+        Some(self)
     }
 
     fn regions_of(&self, au: usize, own: usize) -> Vec<usize> {

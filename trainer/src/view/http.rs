@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use image::codecs::jpeg::JpegEncoder;
-use risorius_formats::{Curves, Reporter, atomic};
+use risorius_formats::{AttributeSpec, Curves, Reporter, atomic};
 use serde::Serialize;
 use tiny_http::{Header, Method, Request, Response};
 
@@ -61,8 +61,9 @@ struct Info<'a> {
     live: bool,
 }
 
-#[derive(Serialize)]
-struct AuInfo {
+/// What a page knows of an AU.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct AuInfo {
     unit: String,
     name: &'static str,
     region: usize,
@@ -71,9 +72,22 @@ struct AuInfo {
     active: bool,
 }
 
-/// Curves for the page's player.
+impl From<&AttributeSpec> for AuInfo {
+    fn from(spec: &AttributeSpec) -> Self {
+        Self {
+            unit: spec.unit.to_string(),
+            name: spec.unit.facs_name(),
+            region: spec.region,
+            neutral: spec.neutral,
+            max: spec.au_max,
+            active: spec.active,
+        }
+    }
+}
+
+/// Curves for a page's player.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct CurvesDocument {
+pub(crate) struct CurvesDocument {
     name: String,
     units: Vec<String>,
     times_secs: Vec<f64>,
@@ -87,7 +101,7 @@ pub(super) fn curves_of(path: &Path, reporter: &dyn Reporter) -> Result<CurvesDo
 }
 
 impl CurvesDocument {
-    fn new(name: String, curves: &Curves) -> Self {
+    pub(crate) fn new(name: String, curves: &Curves) -> Self {
         Self {
             name,
             units: curves.units.iter().map(ToString::to_string).collect(),
@@ -147,20 +161,12 @@ impl<'a> Site<'a> {
     fn info(&self) -> Info<'_> {
         let saved = &self.avatar.saved;
         let (width, height) = self.scene.size();
-        let au = |a: &risorius_formats::AttributeSpec| AuInfo {
-            unit: a.unit.to_string(),
-            name: a.unit.facs_name(),
-            region: a.region,
-            neutral: a.neutral,
-            max: a.au_max,
-            active: a.active,
-        };
         Info {
             name: shown_name(&self.run),
             width,
             height,
             regions: &saved.table.regions,
-            aus: saved.table.attributes.iter().map(au).collect(),
+            aus: saved.table.attributes.iter().map(AuInfo::from).collect(),
             presets: &PRESETS,
             // `orbit_rad` is three quarters of what is covered.
             seen_deg: saved.orbit_rad.map(|a| (a / 0.75).to_degrees()),

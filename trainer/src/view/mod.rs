@@ -26,6 +26,7 @@ use risorius_formats::Reporter;
 use crate::avatar::Avatar;
 use crate::error::{Result, TrainerError};
 use crate::jobs::transfer::Range;
+pub(crate) use http::{AuInfo, CurvesDocument};
 pub use live::Live;
 pub(crate) use overlay::ramp;
 pub use scene::{FrameRequest, Overlay, Scene};
@@ -142,7 +143,7 @@ fn token() -> Result<String> {
 }
 
 /// The name of a folder for people.
-fn shown_name(path: &Path) -> String {
+pub(crate) fn shown_name(path: &Path) -> String {
     let full = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     full.file_name().map_or_else(|| "avatar".to_owned(), |n| n.to_string_lossy().into_owned())
 }

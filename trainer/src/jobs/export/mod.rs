@@ -1,4 +1,5 @@
-//! The avatar as glTF for other engines: a mesh or a cloud of points with one morph target per AU.
+//! The avatar as files for others. This module: glTF for other engines, a mesh or a cloud of points with one morph target
+//! per AU. [`export_gaussians`]: the Gaussians of one expression; [`export_page`]: a page that draws them with every AU.
 //!
 //! A vertex is a ray of a view: it stands where the ray meets the neutral head. A mesh is sewn from the avatar's own view and
 //! views to its sides, each with the surface that it sees best. An AU's target moves it along the ray to
@@ -10,8 +11,14 @@
 //! Axes are glTF's (x right, y up, z towards the viewer of the avatar's own view), the origin is the head's middle, units
 //! are the world's. Colours are linear, on an unlit material: light is part of them.
 
+mod cloud;
+mod dot_splat;
+mod gaussians;
 mod glb;
+mod page;
+mod ply;
 mod sheets;
+mod spz;
 
 use std::path::{Path, PathBuf};
 
@@ -20,6 +27,8 @@ use risorius_formats::{Camera, Intensity, Intrinsics, Reporter, atomic};
 use serde::Serialize;
 use serde_json::json;
 
+pub use self::gaussians::{SplatFormat, SplatSummary, export_gaussians};
+pub use self::page::{PageSettings, PageSummary, export_page};
 use self::sheets::Sheet;
 use super::transfer::Driver;
 use crate::avatar::Avatar;
