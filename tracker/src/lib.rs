@@ -14,6 +14,8 @@ pub mod gaze;
 pub mod head_pose;
 pub mod import;
 pub mod models;
+#[cfg(test)]
+mod openface_install;
 pub mod overlay;
 pub mod parquet;
 pub mod poses;

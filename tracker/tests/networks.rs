@@ -20,6 +20,8 @@ use risorius_tracker::weights::Weights;
 
 #[path = "support/onnx.rs"]
 mod onnx;
+#[path = "../src/openface_install.rs"]
+mod openface_install;
 #[path = "../src/testing.rs"]
 #[expect(dead_code, reason = "the crate's own tests use all of it")]
 mod testing;
@@ -298,13 +300,13 @@ fn the_real_networks_keep_their_accuracy_on_ada() {
 }
 
 /// An AU model of OpenFace's kind over the tests' point model, with these weights.
-fn au_model(kind: i32, weights: &[(usize, f64)], bias: f64) -> testing::ModelFile {
+fn au_model(kind: i32, weights: &[(usize, f64)], bias: f64) -> openface_install::ModelFile {
     let count = HOG_NUMBERS + 204 + 3;
     let mut all = vec![0.0; count];
     for (i, w) in weights {
         all[*i] = *w;
     }
-    testing::ModelFile { kind, cutoff: 0.5, mean: vec![0.1; count], weights: all, bias }
+    openface_install::ModelFile { kind, cutoff: 0.5, mean: vec![0.1; count], weights: all, bias }
 }
 
 #[test]
@@ -337,7 +339,7 @@ fn models_of_openface_take_the_place_of_the_readout() {
         ("AU12", au_model(0, &[(0, 0.0)], 2.5)),
         ("AU12", au_model(5, &weights, -0.3)),
     ];
-    testing::write_openface_install(&install, &faces, &files);
+    openface_install::write_openface_install(&install, &faces, &files);
     let mut tables = Vec::new();
     for threads in [1, 3] {
         let options = RunOptions {

@@ -76,9 +76,10 @@ pub(crate) fn run(args: &ModelsArgs, _: &CommonArgs, console: &Console) -> Resul
     let own_runtime = std::env::var_os(risorius_tracker::models::runtime::LIBRARY_VARIABLE).is_some();
     if args.check {
         if !missing.is_empty() {
-            let hint = match args.metrics {
-                true => "`risorius models --metrics` fetches what is missing",
-                false => "`risorius models` fetches what is missing",
+            let hint = if args.metrics {
+                "`risorius models --metrics` fetches what is missing"
+            } else {
+                "`risorius models` fetches what is missing"
             };
             return Err(Failure::input(format!("{}: missing or damaged: {}", dir.display(), missing.join(", ")))
                 .of_installation()

@@ -1,7 +1,7 @@
 use risorius_formats::ActionUnit;
 
 use super::*;
-use crate::testing::wave;
+use crate::openface_install::wave;
 
 const NUMBERS: usize = HOG_NUMBERS + 204 + 3;
 const FRAMES: usize = 401;

@@ -2,7 +2,7 @@ use glam::{DMat3, DVec3};
 
 use super::predictors::Purpose;
 use super::*;
-use crate::testing::{ModelFile, wave, write_openface_install};
+use crate::openface_install::{ModelFile, wave, write_openface_install};
 use crate::weights::Weights;
 
 /// Numbers of x with the three modes of the tests' point model.

@@ -1,5 +1,5 @@
 use super::*;
-use crate::testing::wave;
+use crate::openface_install::wave;
 
 /// A model of three modes over the project's own mean face, 90 units between the outer eye corners.
 fn model() -> PointModel {
@@ -51,7 +51,7 @@ fn the_file_is_read_and_sizes_have_to_fit() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("pdm.txt");
     let model = model();
-    let text = crate::testing::point_model_text(&model.mean, &model.modes, &model.variances);
+    let text = crate::openface_install::point_model_text(&model.mean, &model.modes, &model.variances);
     std::fs::write(&path, &text).unwrap();
     let read = PointModel::read(&path).unwrap();
     assert!(read.mean[17].distance(model.mean[17]) < 1e-9 && read.modes[2][40].distance(model.modes[2][40]) < 1e-9);
