@@ -69,6 +69,10 @@ fn how(line: &str, has_models: bool) -> How {
         How::Parse("it needs COLMAP")
     } else if line.starts_with("tracker run") && !has_models {
         How::Parse("it needs the networks of `tools/models`")
+    } else if line.starts_with("risorius models") {
+        How::Parse("it needs the network")
+    } else if line.starts_with("risorius avatar") {
+        How::Parse("`one_command` runs it")
     } else if line.starts_with("trainer view") {
         How::Serve
     } else if line.starts_with("trainer fit") {
