@@ -40,6 +40,16 @@ function following({ page }) {
       const from = await page.evaluate(() => window.risorius.picture.pictures);
       await page.waitForFunction((n) => window.risorius.picture.pictures >= n, from + count, { timeout: 60000 });
     },
+    // Until the picture has stayed the same for a second: while things move, pictures are smaller.
+    async rests() {
+      const look = () => page.evaluate(() => document.getElementById("picture").toDataURL());
+      for (let seen = await look(), same = 0, tries = 0; same < 5 && tries < 300; tries += 1) {
+        await page.waitForTimeout(200);
+        const now = await look();
+        same = now === seen ? same + 1 : 0;
+        seen = now;
+      }
+    },
   };
 }
 
@@ -131,11 +141,13 @@ await inBrowser(folder, async (open) => {
   await other.page.keyboard.press("h");
   check(await other.page.locator("#live-head").isChecked(), "H follows the head");
   await face.pictures(2);
+  await face.rests();
   const ahead = await other.small();
   await later();
   phone.tell(row(6, 0.2, 0.4));
   await face.says("3 rows");
   await face.pictures(2);
+  await face.rests();
   const turned = await other.small();
   const turn = differing(turned, ahead, 24);
   check(turn > 0.1, `the head turns with the driver's: ${turn}`);
@@ -143,6 +155,7 @@ await inBrowser(folder, async (open) => {
   await other.page.keyboard.press("h");
   await face.pictures(2);
   check(!(await other.page.locator("#live-head").isChecked()), "H lets go of the head");
+  await face.rests();
   const back = differing(await other.small(), ahead, 24);
   check(back < turn / 2, `and it is back where it was: ${back} of ${turn}`);
   check(Math.abs(await face.slider("AU12") - max / 2) < 0.051, "while the face is followed on");
