@@ -157,8 +157,8 @@ impl<'a> Session<'a> {
                 "a picture of a smile".to_owned(),
             ],
             [
-                format!("risorius trainer export {run} --out {}", at("avatar.glb")),
-                "for Blender and other programs".to_owned(),
+                format!("risorius trainer export {run} --out {}", at("avatar.html")),
+                "one page with every AU, to send".to_owned(),
             ],
         ];
         match self.layout.transfer() {

@@ -9,8 +9,15 @@ use crate::scene::Frame;
 use crate::simd;
 use crate::view::View;
 
+/// AUs act fully where a mask holds at least this of a Gaussian: less does not show in the mask.
+const SHOWN: f32 = 0.06;
+/// From here on memberships have settled, and gates follow them.
+const SETTLED: f32 = 0.5;
+
 impl Fitter {
     /// One step on the labels of a frame whose picture has just been binned; the mean squared error.
+    ///
+    /// In the second half of a fit the gates shrink where memberships fade: an AU acts nowhere that its mask does not show.
     pub(super) fn fit_memberships(&mut self, frame: &Frame<'_>, view: &View, reduce: usize, done: f32) -> f64 {
         let Some(labels) = frame.labels else { return 0.0 };
         let full = frame.camera.intrinsics.width as usize;
@@ -67,6 +74,11 @@ impl Fitter {
                 *v += 0.01 * (gradient * gradient - *v);
                 let value = &mut self.model.membership[at];
                 *value = (*value - rate * *m / (v.sqrt() + 1e-3)).clamp(-9.0, 9.0);
+            }
+        }
+        if done > SETTLED {
+            for (gate, logit) in self.model.gates.iter_mut().zip(&self.model.membership) {
+                *gate = gate.min(logistic(*logit) / SHOWN);
             }
         }
         squared / (3 * pixels.max(1)) as f64
