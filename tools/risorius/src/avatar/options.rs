@@ -40,7 +40,7 @@ pub(crate) struct AvatarArgs {
     /// Fit for 30 s [default: a minute]
     #[arg(long, conflicts_with = "best")]
     pub(super) fast: bool,
-    /// Track every frame, fit for 5 minutes
+    /// Track every frame, fit for 2 minutes
     #[arg(long)]
     pub(super) best: bool,
     /// Take landmarks and AUs from this OpenFace table instead of tracking
@@ -172,7 +172,7 @@ const TRACKED_FPS: f64 = 30.0;
 const FITTED_SIDE_PX: u32 = 640;
 /// Wall seconds of a fit: `--fast`, `--best`, and what `trainer fit` takes by itself.
 const FAST_SECS: u32 = 30;
-const BEST_SECS: u32 = 300;
+const BEST_SECS: u32 = 120;
 const USUAL_SECS: f64 = 60.0;
 
 impl Tuning {
