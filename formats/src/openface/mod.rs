@@ -11,11 +11,14 @@
 //! repeats without `face_id` (rows are numbered by their order, and only then), several faces in a frame.
 
 mod faces;
+mod frames;
 mod header;
 mod read;
 mod write;
 
 use std::path::Path;
+
+use glam::DVec3;
 
 use crate::{Reporter, Result, TableScale, Track};
 
@@ -67,13 +70,34 @@ pub fn read(path: impl AsRef<Path>, options: &ReadOptions, reporter: &dyn Report
     parse(&bytes, options, reporter).map_err(|e| e.in_file(path))
 }
 
+/// Eye landmarks of a table: 8 of the iris, 12 of the lids, 8 of the pupil; the eye on the image's left first.
+pub const EYE_LANDMARKS: usize = 56;
+
+/// Gaze and eye landmarks of one row, which a [`Track`] does not hold.
+#[derive(Clone, Copy, Debug)]
+pub struct Eyes<'a> {
+    /// Unit vectors in camera axes (x right, y down, z away), the eye on the image's left first.
+    pub directions: [DVec3; 2],
+    /// Radians, of both eyes together: positive to the image's right, positive down.
+    pub angles: [f64; 2],
+    /// Pixels, the centre of the first pixel at 0.5.
+    pub landmarks_px: &'a [[f32; 2]; EYE_LANDMARKS],
+    /// Millimetres in camera space; those that are missing are written as 0.
+    pub landmarks_mm: &'a [[f32; 3]],
+}
+
 /// The bytes of an OpenFace 2.2 table with its 714 columns; AUs that OpenFace does not have follow the last of them.
 ///
 /// Gaze, eye landmarks and shape parameters, which a track does not hold, are 0, and so is all of a row without
 /// success, as in OpenFace's own tables. A value that is missing in a row with success is `nan`, which reads back as
 /// missing; 0 would read back as a measurement.
 pub fn to_bytes(track: &Track) -> Result<Vec<u8>> {
-    write::to_bytes(track)
+    write::to_bytes(track, &[])
+}
+
+/// The same with the gaze and eye landmarks of each row; rows that `eyes` does not reach have none.
+pub fn to_bytes_with_eyes(track: &Track, eyes: &[Option<Eyes<'_>>]) -> Result<Vec<u8>> {
+    write::to_bytes(track, eyes)
 }
 
 /// Writes an OpenFace 2.2 table, whole or not at all.

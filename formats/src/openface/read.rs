@@ -2,9 +2,9 @@
 
 use glam::DVec3;
 
-use super::faces::{self, Candidate};
+use super::ReadOptions;
+use super::frames::{choose_faces, number_frames};
 use super::header::{self, Columns, cell};
-use super::{FaceChoice, ReadOptions};
 use crate::au::MAX_INTENSITY;
 use crate::error::shown;
 use crate::table_scale::{self, Judged, Values};
@@ -13,9 +13,6 @@ use crate::{
     ActionUnit, ErrorKind, FormatError, FrameIndex, Landmarks68, Reporter, Result, TableScale, Track, TrackRow,
     Warning, dialect,
 };
-
-/// OpenFace counts frames from 1.
-const DEFAULT_FIRST_FRAME: u32 = 1;
 
 /// What to do about a row that cannot be used.
 const BAD_ROW: &str = "correct or remove this row, or run OpenFace's FeatureExtraction again";
@@ -55,16 +52,16 @@ struct Troubles {
 }
 
 /// One row of the file as it stands.
-struct RawRow {
+pub(super) struct RawRow {
     /// Byte offset of its start; lines are counted only when somebody asks.
-    start: usize,
-    number: u32,
-    row: TrackRow,
+    pub(super) start: usize,
+    pub(super) number: u32,
+    pub(super) row: TrackRow,
 }
 
-struct Parser<'a> {
-    bytes: &'a [u8],
-    columns: Columns,
+pub(super) struct Parser<'a> {
+    pub(super) bytes: &'a [u8],
+    pub(super) columns: Columns,
     troubles: Troubles,
     values: Values,
     /// Row (byte offset) and column of the first value that is off the scale.
@@ -134,7 +131,7 @@ fn start_of(record: &csv::ByteRecord) -> usize {
 }
 
 /// The 1-based line of the record at `start`. The reader's own count is behind after `\r\n` and blank lines.
-fn line_at(bytes: &[u8], start: usize) -> u64 {
+pub(super) fn line_at(bytes: &[u8], start: usize) -> u64 {
     let start = start.min(bytes.len());
     let blank = bytes[start..].iter().take_while(|b| matches!(b, b'\r' | b'\n')).count();
     bytes[..start + blank].split(|&b| b == b'\n').count() as u64
@@ -386,99 +383,5 @@ fn retain<T>(values: &mut Vec<T>, kept: &[bool]) {
     if !kept.iter().all(|&k| k) {
         let mut flags = kept.iter();
         values.retain(|_| flags.next().copied().unwrap_or(true));
-    }
-}
-
-/// Gives every row its frame from 0 and groups the rows by frame, in order.
-fn number_frames(
-    mut rows: Vec<RawRow>,
-    parser: &Parser<'_>,
-    options: &ReadOptions,
-    reporter: &dyn Reporter,
-) -> Result<Vec<Vec<TrackRow>>> {
-    let columns = &parser.columns;
-    let first = if columns.frame.is_none() { 0 } else { options.first_frame.unwrap_or(DEFAULT_FIRST_FRAME) };
-    let repeated = repeated_row(&rows);
-    let stuck = rows.iter().all(|r| r.number == 0) && (first > 0 || repeated.is_some());
-    if let Some((number, face, start)) = repeated
-        && !stuck
-        && columns.face_id.is_some()
-    {
-        return Err(FormatError::new(
-            ErrorKind::Inconsistent,
-            format!("frame {number} of face {face} stands there twice"),
-        )
-        .at_line(line_at(parser.bytes, start))
-        .in_column("frame")
-        .with_hint("two tables may have been pasted together, or the run was killed; run FeatureExtraction again"));
-    }
-    if stuck || repeated.is_some() {
-        let why = match (columns.frame, stuck) {
-            (None, _) => "column `face` repeats and there is no `frame`",
-            (_, true) => "column `frame` is 0 in every row",
-            (_, false) => "column `frame` repeats and there is no `face_id`",
-        };
-        reporter.warn(Warning::new("frames-by-row", format!("{why}; rows were numbered by their order")));
-        return Ok(number_by_order(rows));
-    }
-    rows.sort_by_key(|r| r.number);
-    let mut frames: Vec<Vec<TrackRow>> = Vec::new();
-    let mut last = None;
-    for RawRow { start, number, mut row } in rows {
-        let Some(index) = number.checked_sub(first) else {
-            let message = format!("frame `{number}` lies before the first frame `{first}`");
-            return Err(FormatError::new(ErrorKind::Inconsistent, message)
-                .at_line(line_at(parser.bytes, start))
-                .in_column("frame")
-                .with_hint(format!("if the table counts from {number}, say `--first-frame {number}`")));
-        };
-        row.frame = FrameIndex(index);
-        match frames.last_mut() {
-            Some(group) if last == Some(number) => group.push(row),
-            _ => frames.push(vec![row]),
-        }
-        last = Some(number);
-    }
-    Ok(frames)
-}
-
-/// A row whose frame and face stood there before: frame, face, start.
-fn repeated_row(rows: &[RawRow]) -> Option<(u32, u32, usize)> {
-    let mut keys: Vec<(u32, u32, usize)> = rows.iter().map(|r| (r.number, r.row.face_id, r.start)).collect();
-    keys.sort_unstable();
-    keys.windows(2).find(|w| (w[0].0, w[0].1) == (w[1].0, w[1].1)).map(|w| w[1])
-}
-
-/// Every row is a frame, except that rows of one time and with different face ids share one.
-fn number_by_order(rows: Vec<RawRow>) -> Vec<Vec<TrackRow>> {
-    let mut frames: Vec<Vec<TrackRow>> = Vec::new();
-    for RawRow { mut row, .. } in rows {
-        let shares = frames.last().is_some_and(|group| {
-            row.timestamp_secs.is_some()
-                && group.iter().all(|r| r.timestamp_secs == row.timestamp_secs && r.face_id != row.face_id)
-        });
-        row.frame = FrameIndex(frames.len() as u32 - u32::from(shares));
-        match frames.last_mut() {
-            Some(group) if shares => group.push(row),
-            _ => frames.push(vec![row]),
-        }
-    }
-    frames
-}
-
-fn choose_faces(frames: Vec<Vec<TrackRow>>, choice: FaceChoice, reporter: &dyn Reporter) -> Vec<TrackRow> {
-    let crowded = frames.iter().filter(|group| group.len() > 1).count();
-    if crowded == 0 {
-        return frames.into_iter().flatten().collect();
-    }
-    let how = match choice {
-        FaceChoice::Largest => "the largest of the first one is followed by its place",
-        FaceChoice::First => "the first row of each is taken",
-    };
-    reporter
-        .warn(Warning::new("several-faces", format!("{crowded} of {} frames hold several faces; {how}", frames.len())));
-    match choice {
-        FaceChoice::First => frames.into_iter().filter_map(|group| group.into_iter().next()).collect(),
-        FaceChoice::Largest => faces::follow(frames, Candidate::of),
     }
 }

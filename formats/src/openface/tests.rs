@@ -284,3 +284,38 @@ proptest! {
         prop_assert!(heard.warnings().is_empty());
     }
 }
+
+#[test]
+fn a_row_gets_its_gaze_and_keeps_all_else() {
+    let row = |frame: u32| TrackRow {
+        frame: FrameIndex(frame),
+        face_id: 0,
+        timestamp_secs: Some(f64::from(frame)),
+        confidence: 0.5,
+        success: true,
+        intensities: vec![],
+        presences: vec![],
+        landmarks: Some(Box::new(Landmarks68 { points_px: [[7.5, 8.5]; 68] })),
+        landmarks_in_camera_mm: None,
+        head_pose: None,
+    };
+    let track = Track { rows: vec![row(0), row(1)], ..Track::default() };
+    let landmarks_px = std::array::from_fn(|i| [i as f32 + 0.5, 2.5]);
+    let eyes = Eyes {
+        directions: [DVec3::new(0.1, -0.2, -0.97); 2],
+        angles: [0.125, -0.25],
+        landmarks_px: &landmarks_px,
+        landmarks_mm: &[[1.0, 2.0, 3.0]; EYE_LANDMARKS],
+    };
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    let (plain, filled) =
+        (text(to_bytes(&track).unwrap()), text(to_bytes_with_eyes(&track, &[None, Some(eyes)]).unwrap()));
+    let lines: Vec<[&str; 2]> = plain.lines().zip(filled.lines()).map(|(a, b)| [a, b]).collect();
+    assert_eq!(lines[0][0], lines[0][1], "the header");
+    assert_eq!(lines[1][0], lines[1][1], "a frame without gaze");
+    let [line, found] = lines[2].map(|l| l.split(',').collect::<Vec<_>>());
+    assert_eq!(found.len(), 714);
+    assert_eq!((found[5], found[10], found[11], found[12]), ("0.100000", "-0.970000", "0.125", "-0.250"));
+    assert_eq!((found[13], found[14], found[69], found[125], found[292]), ("0.0", "1.0", "2.0", "1.0", "3.0"));
+    assert_eq!([&line[..5], &line[293..]].concat(), [&found[..5], &found[293..]].concat());
+}

@@ -3,13 +3,16 @@
 //! | group | decimals |
 //! |---|---|
 //! | frame, face_id, timestamp, confidence, success | –, –, 3, 2, – |
-//! | gaze directions / gaze angles (not known here: 0) | 6 / 3 |
-//! | eye landmarks (not known here: 0) | 1 |
+//! | gaze directions / gaze angles (0 unless given) | 6 / 3 |
+//! | eye landmarks (0 unless given) | 1 |
 //! | head pose, translation / rotation | 1 / 3 |
 //! | landmarks, image / camera space | 1 |
 //! | shape parameters (not known here: 0) | 3 |
 //! | AU intensities / presences | 2 / 1 |
 
+use glam::DVec3;
+
+use super::{EYE_LANDMARKS, Eyes};
 use crate::au::OPENFACE_INTENSITIES;
 use crate::{ActionUnit, ErrorKind, FormatError, Result, Track, TrackRow};
 
@@ -35,7 +38,7 @@ fn header(intensities: [&[ActionUnit]; 2], presences: [&[ActionUnit]; 2]) -> Str
     }
     names.extend(["x", "y"].map(|axis| format!("gaze_angle_{axis}")));
     for axis in ["x", "y", "X", "Y", "Z"] {
-        names.extend((0..56).map(|i| format!("eye_lmk_{axis}_{i}")));
+        names.extend((0..EYE_LANDMARKS).map(|i| format!("eye_lmk_{axis}_{i}")));
     }
     names.extend(["Tx", "Ty", "Tz", "Rx", "Ry", "Rz"].map(|n| format!("pose_{n}")));
     for axis in ["x", "y", "X", "Y", "Z"] {
@@ -106,13 +109,32 @@ impl Line<'_> {
     }
 }
 
+impl Line<'_> {
+    fn eyes(&mut self, eyes: Option<&Eyes<'_>>) {
+        let Some(eyes) = eyes else {
+            self.zeros(6, 6);
+            self.zeros(2, 3);
+            return self.zeros(5 * EYE_LANDMARKS, 1);
+        };
+        self.numbers(eyes.directions.iter().flat_map(DVec3::to_array).map(Some), 6);
+        self.numbers(eyes.angles.into_iter().map(Some), 3);
+        for axis in 0..2 {
+            self.numbers(eyes.landmarks_px.iter().map(|p| Some(f64::from(p[axis]) - 0.5)), 1);
+        }
+        for axis in 0..3 {
+            let of = |i: usize| eyes.landmarks_mm.get(i).map_or(0.0, |p| f64::from(p[axis]));
+            self.numbers((0..EYE_LANDMARKS).map(|i| Some(of(i))), 1);
+        }
+    }
+}
+
 /// Where each of `wanted` stands in `have`.
 fn places(wanted: &[ActionUnit], have: &[ActionUnit]) -> Vec<Option<usize>> {
     wanted.iter().map(|u| have.iter().position(|h| h == u)).collect()
 }
 
 /// The bytes of a table; see [`super::to_bytes`].
-pub(super) fn to_bytes(track: &Track) -> Result<Vec<u8>> {
+pub(super) fn to_bytes(track: &Track, eyes: &[Option<Eyes<'_>>]) -> Result<Vec<u8>> {
     let (intensities, more_intensities) = with_others(&OPENFACE_INTENSITIES, &track.units);
     let (presences, more_presences) = with_others(&presence_units(), &track.presence_units);
     let mut out = header([&intensities, &more_intensities], [&presences, &more_presences]).into_bytes();
@@ -122,19 +144,19 @@ pub(super) fn to_bytes(track: &Track) -> Result<Vec<u8>> {
         (places(&intensities, &track.units), places(&presences, &track.presence_units)),
         (places(&more_intensities, &track.units), places(&more_presences, &track.presence_units)),
     ];
-    for row in &track.rows {
+    for (i, row) in track.rows.iter().enumerate() {
         if row.intensities.len() != track.units.len() || row.presences.len() != track.presence_units.len() {
             let message = format!("the row of frame {} has another number of action units than the track", row.frame.0);
             return Err(FormatError::new(ErrorKind::Inconsistent, message));
         }
-        write_row(&mut out, row, &groups)?;
+        write_row(&mut out, row, eyes.get(i).and_then(Option::as_ref), &groups)?;
     }
     Ok(out)
 }
 
 type Places = (Vec<Option<usize>>, Vec<Option<usize>>);
 
-fn write_row(out: &mut Vec<u8>, row: &TrackRow, groups: &[Places; 2]) -> Result<()> {
+fn write_row(out: &mut Vec<u8>, row: &TrackRow, eyes: Option<&Eyes<'_>>, groups: &[Places; 2]) -> Result<()> {
     let frame = row.frame.0.checked_add(1).ok_or_else(|| {
         FormatError::new(
             ErrorKind::Limits,
@@ -148,9 +170,7 @@ fn write_row(out: &mut Vec<u8>, row: &TrackRow, groups: &[Places; 2]) -> Result<
     line.number(row.timestamp_secs, 3);
     line.number(Some(f64::from(row.confidence)), 2);
     line.out.extend_from_slice(if row.success { b",1" } else { b",0" });
-    line.zeros(6, 6);
-    line.zeros(2, 3);
-    line.zeros(5 * 56, 1);
+    line.eyes(eyes);
     if row.success {
         let pose = row.head_pose;
         line.numbers((0..3).map(|i| pose.map(|p| p.translation_mm[i])), 1);

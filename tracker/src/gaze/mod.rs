@@ -8,14 +8,14 @@
 
 use glam::{DMat3, DVec2, DVec3};
 use risorius_formats::Similarity;
+use risorius_formats::openface::Eyes;
 
 use crate::aus::Calibration;
 use crate::aus::memory::Memory;
-use crate::aus::person::median;
+use crate::poses::triangulate::median;
 use crate::run::mesh::{Mesh, flat};
 
-/// Eye landmarks of an OpenFace table, image-left eye first: 8 of the iris, 12 of the lids, 8 of the pupil.
-pub const EYE_LANDMARKS: usize = 56;
+pub use risorius_formats::openface::EYE_LANDMARKS;
 /// Points of the lids.
 const LIDS: usize = 12;
 /// Numbers kept of an eye.
@@ -138,6 +138,14 @@ pub struct Gaze {
     pub landmarks_px: Box<[[f32; 2]; EYE_LANDMARKS]>,
     /// Millimetres in camera space, on the rays of those in pixels; empty until the head's distance is known.
     pub landmarks_mm: Vec<[f32; 3]>,
+}
+
+impl Gaze {
+    /// What an OpenFace table has of it.
+    pub fn eyes(&self) -> Eyes<'_> {
+        let Self { directions, angles, landmarks_px, landmarks_mm, .. } = self;
+        Eyes { directions: *directions, angles: *angles, landmarks_px, landmarks_mm }
+    }
 }
 
 /// Finds gaze with an eye model of the whole video or, online, of the frames before.

@@ -9,7 +9,6 @@ pub mod crop;
 pub mod detect;
 pub mod follow;
 pub mod frames;
-pub mod gaze_columns;
 pub mod landmarks;
 pub mod live;
 pub mod mesh;

@@ -10,12 +10,11 @@ use risorius_formats::track::HeadPose;
 use risorius_formats::{FormatError, FrameIndex, Isometry, Landmarks68, Reporter, Take, Track, TrackRow, openface};
 
 use super::between::{Interpolator, Smoothed};
-use super::gaze_columns;
 use super::observations::{Observation, Recording};
 use crate::aus::openface::clip::ClipAus;
 use crate::aus::{FEATURES, PITCH, Person};
 use crate::error::{Result, TrackerError};
-use crate::gaze::{EYE_LANDMARKS, Gazer};
+use crate::gaze::{EYE_LANDMARKS, Gaze, Gazer};
 use crate::head_pose::Lens;
 use crate::head_pose::shape::{self, PersonShape};
 use crate::models::manifest::AuModel;
@@ -208,10 +207,11 @@ pub struct Pieces {
 impl Pieces {
     /// Some rows as lines.
     pub fn lines(&mut self, piece: &Track, extras: &[Extra]) -> Result<Vec<u8>> {
-        let bytes = openface::to_bytes(piece)?;
+        let eyes: Vec<_> = extras.iter().map(|e| e.gaze.as_ref().map(Gaze::eyes)).collect();
+        let bytes = openface::to_bytes_with_eyes(piece, &eyes)?;
         let (header, rows) = bytes.split_at(bytes.iter().position(|b| *b == b'\n').map_or(0, |at| at + 1));
         let mut lines = if self.has_header { Vec::new() } else { header.to_vec() };
-        lines.extend(gaze_columns::fill(rows, extras));
+        lines.extend_from_slice(rows);
         self.has_header = true;
         Ok(lines)
     }
