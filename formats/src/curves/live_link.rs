@@ -10,8 +10,8 @@ use super::{CurveOptions, CurveSource, Curves, rate};
 use crate::error::shown;
 use crate::{ActionUnit, FormatError, Reporter, Result, Warning};
 
-/// The coefficients of each AU (both sides where there are two).
-pub(super) const ARKIT: [(u8, &[&str]); 17] = [
+/// ARKit's coefficients of each AU, by its number (both sides where there are two).
+pub const ARKIT: [(u8, &[&str]); 17] = [
     (1, &["BrowInnerUp"]),
     (2, &["BrowOuterUpLeft", "BrowOuterUpRight"]),
     (4, &["BrowDownLeft", "BrowDownRight"]),

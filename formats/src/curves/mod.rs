@@ -9,6 +9,8 @@ mod live_link;
 mod plain;
 mod rate;
 
+pub use live_link::ARKIT;
+
 use std::path::Path;
 
 use glam::DMat3;

@@ -14,7 +14,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use risorius_formats::curves::CurveOptions;
+use risorius_formats::curves::{ARKIT, CurveOptions};
 use risorius_formats::{ActionUnit, AttributeSpec, Camera, Curves, FormatError, Reporter, atomic};
 use serde::Serialize;
 
@@ -99,6 +99,8 @@ struct Info<'a> {
     presets: &'static [Preset],
     seen_deg: [f64; 2],
     curves: Option<&'a CurvesDocument>,
+    /// ARKit's coefficients of each AU, for tables of Live Link Face.
+    arkit: BTreeMap<String, &'static [&'static str]>,
     /// Intensities to begin with.
     begin: &'a BTreeMap<ActionUnit, f32>,
     /// Per AU of the table: what turns intensities into activations.
@@ -187,6 +189,7 @@ pub fn export_page(avatar: &Avatar, settings: &PageSettings, file: &Path) -> Res
         // `orbit_rad` is three quarters of what is covered.
         seen_deg: saved.orbit_rad.map(|a| (a / 0.75).to_degrees()),
         curves: settings.curves.as_ref(),
+        arkit: ARKIT.iter().map(|(unit, names)| (ActionUnit(*unit).to_string(), *names)).collect(),
         begin: &settings.aus,
         scales: table.iter().map(Scale::from).collect(),
         intensities: field.knows_intensities(),

@@ -155,7 +155,7 @@ function play() {
 async function open(file) {
   if (!file) return;
   try {
-    const curve = await readTable(file, info.aus);
+    const curve = await readTable(file, info.aus, info.arkit);
     player.stop();
     offer(curve);
     show.say(`${curve.name} opened`);

@@ -7,14 +7,6 @@ const SECS = ["secs", "seconds", "sec", "time", "time_secs", "timestamp", "t", "
 const MILLIS = ["frame_time_in_ms", "time_ms", "timestamp_ms", "time_in_ms", "millis", "ms"];
 const FRAMES = ["frame", "frame_idx", "frame_index", "frame_number"];
 const GUESSED_FPS = 30, MOST_BYTES = 256 * 1024 * 1024;
-// ARKit's coefficients of each AU, averaged over left and right, as `risorius_formats::curves` has them.
-const SIDES = (name) => [`${name}Left`, `${name}Right`];
-const ARKIT = {
-  AU01: ["BrowInnerUp"], AU02: SIDES("BrowOuterUp"), AU04: SIDES("BrowDown"), AU05: SIDES("EyeWide"), AU06: SIDES("CheekSquint"), AU07: SIDES("EyeSquint"),
-  AU09: SIDES("NoseSneer"), AU10: SIDES("MouthUpperUp"), AU12: SIDES("MouthSmile"), AU14: SIDES("MouthDimple"), AU15: SIDES("MouthFrown"), AU17: ["MouthShrugLower"],
-  AU20: SIDES("MouthStretch"), AU23: SIDES("MouthPress"), AU25: SIDES("MouthLowerDown"), AU26: ["JawOpen"], AU45: SIDES("EyeBlink"),
-};
-
 class Unreadable extends Error {}
 const fail = (text) => { throw new Unreadable(text); };
 
@@ -30,12 +22,12 @@ function separatorOf(header) {
 }
 
 // Which columns make up each AU, what they are multiplied by, and where the time stands.
-function columnsOf(names) {
+function columnsOf(names, arkit) {
   const lower = names.map((n) => n.toLowerCase());
   const phone = lower.includes("timecode") && lower.includes("blendshapecount");
   const units = new Map();
   if (phone) {
-    for (const [unit, coefficients] of Object.entries(ARKIT)) {
+    for (const [unit, coefficients] of Object.entries(arkit)) {
       const columns = coefficients.map((c) => lower.indexOf(c.toLowerCase())).filter((c) => c >= 0);
       if (columns.length) units.set(unit, columns);
     }
@@ -60,8 +52,8 @@ function timecodes(rows, column) {
   return parts.map(([h, m, s, f]) => 3600 * h + 60 * m + s + f / fps);
 }
 
-// A curve of a file's text; `aus` are the avatar's. Also `notes`: what the user should know.
-export function parseTable(name, text, aus) {
+// A curve of a file's text; `aus` are the avatar's, `arkit` names the coefficients of each AU. Also `notes`: what the user should know.
+export function parseTable(name, text, aus, arkit) {
   if (text.includes("\0")) fail(`${name} is not a table of text; a CSV is expected`);
   const lines = text.replace(/^\uFEFF/, "").split(/\r\n|\n|\r/);
   const first = lines.findIndex((l) => l.trim());
@@ -69,7 +61,7 @@ export function parseTable(name, text, aus) {
   const separator = separatorOf(lines[first]);
   const split = (line) => line.split(separator).map((c) => c.trim().replace(/^"(.*)"$/, "$1"));
   const names = split(lines[first]);
-  const { units, time, phone, success } = columnsOf(names);
+  const { units, time, phone, success } = columnsOf(names, arkit);
   const shown = names.slice(0, 6).map((n) => n.slice(0, 24)).join(", ") + (names.length > 6 ? ", …" : "");
   if (!units.size) fail(`${name} has no column of an AU; its columns are ${shown}\nexpected is a name such as AU12 or AU12_r, and a time such as \`secs\` or \`timestamp\``);
   const movable = aus.filter((a) => a.active).map((a) => a.unit), known = [...units.keys()].filter((u) => movable.includes(u));
@@ -109,10 +101,10 @@ export function parseTable(name, text, aus) {
 }
 
 // A curve of a file that was dropped or chosen.
-export async function readTable(file, aus) {
+export async function readTable(file, aus, arkit) {
   try {
     if (file.size > MOST_BYTES) fail(`${file.name} has ${(file.size / 1e6).toFixed(0)} MB; tables up to 256 MB are read`);
-    return parseTable(file.name, await file.text(), aus);
+    return parseTable(file.name, await file.text(), aus, arkit);
   } catch (error) {
     if (error instanceof Unreadable) throw error;
     throw new Unreadable(`${file.name} cannot be read: ${error.message}`);
