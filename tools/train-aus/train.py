@@ -97,7 +97,6 @@ def main():
     inputs = {"mesh": aligned(mesh, canonical).reshape(len(mesh), -1).astype(np.float32), "blendshapes": data["blend"]}
     inputs.update({k: data.pop(k) for k in ("fhog", "inner16")})
     weights, scores = {}, {}
-    weights, scores = {}, {}
     for kind in list(inputs):
         above = above_rest(inputs.pop(kind), person, neutral, terms)
         w = table_weights() if kind == "blendshapes" else ridge(above[~held], aus[~held], RIDGE[kind])

@@ -19,6 +19,7 @@ mod stage;
 pub use args::{Common, CommonArgs};
 pub use failure::Failure;
 pub use printer::{Console, Listener};
+pub use progress::seconds;
 pub use run::{run, run_as};
 pub use settings::{SETTINGS_FILE, settings, settings_from};
 pub use stage::{AgainArgs, Inputs, Running, Stage, hold};

@@ -173,7 +173,8 @@ fn write_line(text: &str) {
     let _ = io::stderr().lock().write_all(format!("{text}\n").as_bytes());
 }
 
-fn seconds(secs: f64) -> String {
+/// A duration in words, to a second from one second on.
+pub fn seconds(secs: f64) -> String {
     let whole = secs.round() as u64;
     match whole {
         0 => format!("{secs:.1} s"),

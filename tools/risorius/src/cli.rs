@@ -47,7 +47,7 @@ pub(crate) fn run(cli: &Cli, console: &Console) -> Result<(), Failure> {
     let outcome = match &cli.command {
         Command::Avatar(args) => crate::avatar::run(args, &cli.common, console),
         Command::Doctor(args) => crate::doctor::run(args, console),
-        Command::Models(args) => crate::models::run(args, &cli.common, console),
+        Command::Models(args) => crate::models::run(args, console),
         Command::Capture(args) => risorius_capture::cli::run(args, console),
         Command::Tracker(args) => risorius_tracker::cli::run(args, console),
         Command::Dataset(args) => risorius_dataset::cli::run(args, console),

@@ -8,6 +8,7 @@
 use super::memory::Memory;
 use super::readout::Readout;
 use super::{FEATURES, PITCH, SCORES, UNITS, Units, YAW};
+use crate::poses::triangulate::median;
 
 /// From which frames a person's rest is learned.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -140,12 +141,6 @@ impl Rest {
         let above = |k: usize| f64::from(frame[k]) - self.lines[k].at(pose);
         [std::array::from_fn(above), std::array::from_fn(|j| above(UNITS + j))]
     }
-}
-
-/// The middle value (the upper of two); `None` of nothing.
-pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
-    let at = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
 /// The line behind scores of which some are raised by expressions.

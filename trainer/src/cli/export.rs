@@ -7,7 +7,7 @@ use risorius_formats::ActionUnit;
 
 use super::{DeviceArgs, need, parse_au};
 use crate::avatar::Avatar;
-use crate::expression::Unseen;
+use crate::expression::{Expression, Unseen};
 use crate::jobs::export::{
     ExportKind, ExportSettings, PageSettings, SplatFormat, export, export_gaussians, export_page,
 };
@@ -96,6 +96,14 @@ impl ExportArgs {
         aus.extend(self.au.iter().copied());
         aus
     }
+
+    /// The expression that the options ask for, with a warning where the avatar cannot show it.
+    fn expression(&self, avatar: &Avatar, console: &Console) -> Expression {
+        let mut unseen = Unseen::default();
+        let expression = unseen.expression(&avatar.saved.table, &self.intensities());
+        unseen.warn(console);
+        expression
+    }
 }
 
 pub(super) fn run(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
@@ -111,9 +119,7 @@ pub(super) fn run(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
 
 fn gaussians(args: &ExportArgs, format: SplatFormat, console: &Console) -> Result<(), Failure> {
     let avatar = Avatar::open(&args.run, &args.device.device()?)?;
-    let mut unseen = Unseen::default();
-    let expression = unseen.expression(&avatar.saved.table, &args.intensities());
-    unseen.warn(console);
+    let expression = args.expression(&avatar, console);
     let summary = export_gaussians(&avatar, format, &expression, args.head_only, &args.out)?;
     let human =
         format!("{}: {} Gaussians, {:.2} MB", summary.file.display(), summary.gaussians, summary.bytes as f64 / 1e6);
@@ -124,11 +130,9 @@ fn gaussians(args: &ExportArgs, format: SplatFormat, console: &Console) -> Resul
 fn page(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     let curve_options = args.curve_options.options()?;
     let avatar = Avatar::open(&args.run, &args.device.device()?)?;
-    let aus = args.intensities();
-    let mut unseen = Unseen::default();
-    unseen.expression(&avatar.saved.table, &aus);
-    unseen.warn(console);
-    let settings = PageSettings::new(&args.run, aus, args.curves.as_deref(), &curve_options, console)?;
+    // The page makes its expressions itself; what they cannot show is said here.
+    args.expression(&avatar, console);
+    let settings = PageSettings::new(&args.run, args.intensities(), args.curves.as_deref(), &curve_options, console)?;
     let summary = export_page(&avatar, &settings, &args.out)?;
     let human = format!(
         "{}: {} Gaussians, {} AUs, {:.2} MB; deltas are within {:.3} mm and {:.2} levels of the avatar's",

@@ -45,8 +45,8 @@ impl<'a> SceneData<'a> {
             });
         }
         let plate = Plate::of(data);
-        let persons = plate.iter().flat_map(|p| data.frames.par_iter().map(|f| p.person(f)).collect::<Vec<_>>());
-        let persons = persons.collect();
+        let person = |p: &Plate| data.frames.par_iter().map(|f| p.person(f)).collect();
+        let persons = plate.as_ref().map(person).unwrap_or_default();
         Ok(Self { data, space: MetricSpace::of(data), plate, persons })
     }
 

@@ -2,6 +2,7 @@
 
 use risorius_formats::Track;
 use risorius_formats::au::OPENFACE_INTENSITIES;
+use risorius_trainer::eval::icc;
 use serde::Serialize;
 
 use super::metrics::icc31;
@@ -103,15 +104,7 @@ fn percentile99(mut values: Vec<f64>) -> f64 {
 
 /// Pearson's r; 0 where one of the two does not vary.
 pub(crate) fn correlation(pairs: &[(f64, f64)]) -> f64 {
-    let n = pairs.len().max(1) as f64;
-    let (ma, mb) = (pairs.iter().map(|p| p.0).sum::<f64>() / n, pairs.iter().map(|p| p.1).sum::<f64>() / n);
-    let (mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0);
-    for (a, b) in pairs {
-        aa += (a - ma) * (a - ma);
-        ab += (a - ma) * (b - mb);
-        bb += (b - mb) * (b - mb);
-    }
-    if aa * bb > 0.0 { ab / (aa * bb).sqrt() } else { 0.0 }
+    icc::correlation(&pairs.iter().map(|p| [p.0, p.1]).collect::<Vec<_>>()).unwrap_or(0.0)
 }
 
 #[cfg(test)]

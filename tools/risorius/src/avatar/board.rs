@@ -335,15 +335,9 @@ fn new_bar() -> ProgressBar {
     ProgressBar::new(100).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
-/// A duration as people say it.
+/// A duration in words, to a tenth below ten seconds.
 pub(super) fn seconds(secs: f64) -> String {
-    let whole = secs.round() as u64;
-    match whole {
-        0..=9 => format!("{secs:.1} s"),
-        10..=99 => format!("{whole} s"),
-        100..=5999 => format!("{} min {:02} s", whole / 60, whole % 60),
-        _ => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
-    }
+    if secs.round() < 10.0 { format!("{secs:.1} s") } else { risorius_console::seconds(secs) }
 }
 
 #[cfg(test)]

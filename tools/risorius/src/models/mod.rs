@@ -14,7 +14,7 @@ mod zip;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use risorius_console::{CommonArgs, Console, Failure, hold};
+use risorius_console::{Console, Failure, hold};
 use risorius_formats::atomic::write_file;
 use risorius_formats::hash::{sha256_of_bytes, sha256_of_file};
 use risorius_formats::{FormatError, Reporter as _};
@@ -65,7 +65,7 @@ fn runtime() -> Option<(pins::PypiFile, &'static str)> {
 }
 
 /// Runs `risorius models`.
-pub(crate) fn run(args: &ModelsArgs, _: &CommonArgs, console: &Console) -> Result<(), Failure> {
+pub(crate) fn run(args: &ModelsArgs, console: &Console) -> Result<(), Failure> {
     let dir = args.dir.clone().unwrap_or_else(risorius_tracker::models::default_dir);
     let files = wanted(args.metrics);
     let lacking = |files: &[(String, String)]| -> Vec<String> {
