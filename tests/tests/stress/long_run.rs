@@ -143,7 +143,7 @@ fn fitted(scene: &Scene<'_>, change: impl Fn(&mut Settings)) -> (Fitter, f64) {
     (fit, last.iter().sum::<f64>() / LAST as f64)
 }
 
-/// Pictures in other light are told apart by gains, and not by Gaussians.
+/// Changes of light between images go into their gains, not into the Gaussians.
 #[test]
 fn gains_follow_the_light_of_every_image() {
     let mut ball = Ball::new(VIEWS);

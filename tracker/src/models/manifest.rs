@@ -109,9 +109,9 @@ pub struct LandmarkModel {
     pub points: String,
     /// Name of the output with the logit that there is a face; without one a face is lost when its points collapse.
     pub presence: Option<String>,
-    /// Name of the output with the 8×8×128 feature map of MediaPipe's network, channels first; helps the AUs.
+    /// Name of the output with the 8×8×128 feature map of MediaPipe's network; manifests name it, the AUs do without.
     pub inner8: Option<String>,
-    /// Name of the output with its 16×16×128 feature map.
+    /// Name of the output with the 16×16×128 feature map of MediaPipe's network, channels first; helps the AUs.
     pub inner16: Option<String>,
     /// Smallest probability of a face, 0–1.
     #[serde(default = "half")]

@@ -15,7 +15,8 @@ pub struct Frame<'a> {
     pub room_from_head: Isometry,
     /// RGB bytes, row by row.
     pub rgb: &'a [u8],
-    /// Which pixels may be fitted (non-zero), row by row; `None` means all.
+    /// Which pixels show what is to be fitted (non-zero), row by row; `None` means all. Depth and memberships are sought there
+    /// only; colours too, unless there is a plate, before which all of a picture counts.
     pub valid: Option<&'a [u8]>,
     /// Region of each pixel + 1, 0 for none, row by row; `None` where the frame has no masks.
     pub labels: Option<&'a [u8]>,

@@ -10,7 +10,8 @@ const CLOSED: f64 = 1.0;
 /// The columns of a table that have both eyes' directions.
 const COLUMNS: [&str; 6] = ["gaze_0_x", "gaze_0_y", "gaze_0_z", "gaze_1_x", "gaze_1_y", "gaze_1_z"];
 
-/// The mean of both eyes' directions in each row, camera axes; zero where there is none. Empty where the table has no gaze.
+/// The mean of both eyes' directions in each row, camera axes: zero in a row without gaze, and no rows at all where the table
+/// has no gaze columns.
 pub(crate) fn directions(table: &Columns) -> Vec<DVec3> {
     let Some([a, b, c, d, e, f]) = table.get(COLUMNS) else { return Vec::new() };
     let mean = |i: usize| (DVec3::new(a[i], b[i], c[i]) + DVec3::new(d[i], e[i], f[i])).normalize_or_zero();

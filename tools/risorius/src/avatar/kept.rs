@@ -9,8 +9,10 @@ pub(super) fn record_hash(result: &Path) -> Option<String> {
     sha256_of_file(result.join("stage.json")).ok()
 }
 
-/// Whether `result`, known by its file `main`, was made by hand, of these files of the take as they are now: its record
-/// is not the one that `risorius avatar` noted when it made the result (`noted`), or there is none.
+/// Whether the user made `result` with the programs themselves, from the take's `inputs` as they are now.
+///
+/// It is if the hash of its record differs from the one on the card (`noted`), or if the result (its file `main`) exists
+/// without a record.
 pub(super) fn is_by_hand(result: &Path, main: &str, take: &Path, inputs: &[&str], noted: Option<&str>) -> bool {
     let Some(hash) = record_hash(result) else { return result.join(main).is_file() };
     if noted == Some(hash.as_str()) {
@@ -37,7 +39,7 @@ mod tests {
         let result = dir.path().join("track");
         std::fs::create_dir_all(&result).unwrap();
         let by_hand = |noted: Option<&str>| is_by_hand(&result, "a.csv", dir.path(), &["take.toml"], noted);
-        assert!(!by_hand(None), "there is none");
+        assert!(!by_hand(None), "no result exists");
         std::fs::write(result.join("a.csv"), "x").unwrap();
         assert!(by_hand(None), "it has no record");
         std::fs::write(dir.path().join("take.toml"), "one").unwrap();

@@ -8,7 +8,7 @@ use crate::words::ours;
 
 /// How many warnings of a kind are shown.
 const SHOWN: usize = 2;
-/// Kinds that say nothing here: they are told otherwise, or belong to single commands.
+/// Kinds that are left out: another line of the card says the same, or they concern a command that was typed by itself.
 const TOLD_ELSEWHERE: [&str; 5] = ["no-face", "stale-lock", "no-lpips", "budget", "few-candidates"];
 
 /// The warnings as sentences.
